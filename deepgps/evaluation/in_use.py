@@ -10,7 +10,7 @@ from deepgps.data.turns import adapt_upright, describe_lean
 from deepgps.evaluation.error_field import ErrorField
 from deepgps.evaluation.measures import add_yaws, take_acceptance
 from deepgps.positioner.pose import find_poses
-from deepgps.positioner.positioner import NetworkPositioner, Positioner
+from deepgps.positioner.positioner import FeaturePositioner, Positioner
 from deepgps.tracking.causes import name_causes
 from sim.alignment import Alignment
 from sim.errors import InputError, WorkError
@@ -35,7 +35,7 @@ def adapt(positioner: Positioner, drive: Recording | None) -> tuple[Positioner, 
     Returns:
         The positioner in use, and the lean in use for ``metrics.json``, which only methods have that correct it.
     """
-    if drive is None or not isinstance(positioner, NetworkPositioner) or positioner.upright is None:
+    if drive is None or not isinstance(positioner, FeaturePositioner) or positioner.upright is None:
         return positioner, {}
     upright, lean = adapt_upright(positioner.upright, drive)
     return replace(positioner, upright=upright), {} if lean is None else describe_lean(lean)

@@ -23,7 +23,7 @@ from deepgps.evaluation.measures import expect_new, measure_new
 from deepgps.evaluation.segment_errors import describe_drive
 from deepgps.learning.trainer import find_device, use_threads
 from deepgps.positioner.pose import Poses, find_poses
-from deepgps.positioner.positioner import Positioner, headings_of
+from deepgps.positioner.positioner import Positioner
 from deepgps.positioner.stored_positioner import load_positioner, read_training
 from deepgps.runs.run_folder import WITHOUT_TRUTH
 from deepgps.terminal.progress import Report, ignore
@@ -173,7 +173,7 @@ def judge_turns(positioner: Positioner, drive: Recording) -> dict[str, Any]:
     known = np.isfinite(turned) & np.isfinite(angle)
     if not known.any():
         return {}
-    headings = headings_of(positioner)
+    headings = positioner.headings
     sign = 1 if headings is None else headings.chirality  # a map may be mirrored
     differ = np.sqrt(np.mean(wrap(sign * turned[known] - angle[known]) ** 2))
     return {"turns": int(known.sum()), "turn_rms_deg": float(np.degrees(differ))}

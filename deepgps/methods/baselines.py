@@ -21,8 +21,8 @@ from deepgps.learning.batches import Batch
 from deepgps.learning.networks import count_parameters
 from deepgps.learning.trainer import make_generator, train
 from deepgps.learning.training_data import TrainingData, new_network, prepare
-from deepgps.positioner.nearest_scan import ScanPositioner
 from deepgps.positioner.positioner import Fitted, NeighbourPositioner, as_positioner
+from deepgps.positioner.without_features import ScanPositioner
 from deepgps.terminal.progress import Report
 from sim.errors import InputError
 from sim.recording.format import Recording
@@ -136,7 +136,7 @@ def fit_pca_knn(recording: Recording, settings: LearnSettings, seed: int, folder
         turned = turn_scans(scans[first : first + CHUNK], turns[first : first + CHUNK])
         known[first * headings : first * headings + len(turned)] = positioner.project(turned)
         progress(folder.name, min(first + CHUNK, count), count)
-    stored = sum(tensor.numel() for tensor in positioner.tensors().values())
+    stored = sum(tensor.numel() for tensor in positioner.pack().tensors.values())
     training = {"steps": 0, "train_s": round(time.perf_counter() - start, 1), "parameters": stored}
     return Fitted(positioner, training)
 

@@ -21,7 +21,7 @@ from deepgps.config.learning import LearnSettings
 from deepgps.data.segments import Segments, read_segments
 from deepgps.initial_map.distances.isomap import scale_classically
 from deepgps.positioner.positioner import Fitted
-from deepgps.positioner.trilateration import LandmarkPositioner, find_seen, trilaterate
+from deepgps.positioner.without_features import LandmarkPositioner, find_seen, trilaterate
 from deepgps.terminal.progress import Report
 from sim.errors import InputError
 from sim.recording.format import Recording

@@ -19,8 +19,9 @@ from deepgps.learning.trainer import describe_device, use_threads
 from deepgps.methods.deepgps import remove_leftovers
 from deepgps.positioner.confidence_fit import make_confidence
 from deepgps.positioner.heading_fit import make_headings
-from deepgps.positioner.positioner import ArrayPositioner, FeaturePositioner, Fitted, NetworkPositioner, Positioner
+from deepgps.positioner.positioner import FeaturePositioner, Fitted, Positioner
 from deepgps.positioner.stored_positioner import is_finished, load_positioner, save_positioner
+from deepgps.positioner.without_features import ArrayPositioner
 from deepgps.terminal.progress import Report, ignore
 from sim.errors import WorkError
 from sim.recording.format import Recording, observation_file
@@ -73,7 +74,7 @@ def learn_headings(positioner: Any, recording: Recording, folder: Path) -> Any:
     if recording.kind != "polar_image" or not isinstance(positioner, FeaturePositioner):
         return positioner
     positions = positioner(recording.observation)  # the camera's, since there is no yaw yet
-    if isinstance(positioner, NetworkPositioner) and positioner.upright is not None:
+    if positioner.upright is not None:
         recording = replace(recording, observation=positioner.upright.copy(recording.observation, folder))
     headings = make_headings(recording, positions)
     return positioner if headings is None else replace(positioner, headings=headings)

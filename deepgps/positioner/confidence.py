@@ -10,7 +10,7 @@ as in a small one. ``confidence_fit`` makes the table and calibrates threshold a
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -45,6 +45,9 @@ class Trust:
     novelty: np.ndarray
     accepted: np.ndarray
     radius: np.ndarray
+
+
+ARRAYS = ("features", "scale", "place", "metres", "map_std")
 
 
 @dataclass(frozen=True)
@@ -114,25 +117,22 @@ class Confidence:
         }
         return {name: getattr(self, name) for name in ARRAYS}, numbers
 
+    @classmethod
+    def unpack(cls, arrays: Mapping[str, np.ndarray], numbers: Mapping[str, Any]) -> Self:
+        """The table that was packed; raises KeyError where a part is missing."""
+        slope = np.full((2, 2), np.nan) if numbers["slope_m"] is None else np.array(numbers["slope_m"], float)
+        return cls(
+            **{name: np.asarray(arrays[name]) for name in ARRAYS},
+            threshold_m=float(numbers["threshold_m"]),
+            usual_m=float(numbers["usual_m"]),
+            refused=float(numbers["refused"]),
+            slope=slope,
+            reach_m=float(numbers["reach_m"]),
+        )
+
     @cached_property
     def _tree(self) -> KDTree:
         return KDTree(self.place)
-
-
-ARRAYS = ("features", "scale", "place", "metres", "map_std")
-
-
-def unpack(arrays: Mapping[str, np.ndarray], numbers: Mapping[str, Any]) -> Confidence:
-    """The table that was packed; raises KeyError where a part is missing."""
-    slope = np.full((2, 2), np.nan) if numbers["slope_m"] is None else np.array(numbers["slope_m"], float)
-    return Confidence(
-        **{name: np.asarray(arrays[name]) for name in ARRAYS},
-        threshold_m=float(numbers["threshold_m"]),
-        usual_m=float(numbers["usual_m"]),
-        refused=float(numbers["refused"]),
-        slope=slope,
-        reach_m=float(numbers["reach_m"]),
-    )
 
 
 def find_normal_radius(probability: float | np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ coefficients of each image, as bytes: it is about 1.5 KB for each 10 cm x 10 cm 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from scipy import fft
@@ -49,6 +49,9 @@ class Yaws:
     yaw: np.ndarray
     std: np.ndarray
     weight: np.ndarray
+
+
+ARRAYS = ("spectrum", "place", "heading", "parallax", "position_std")
 
 
 @dataclass(frozen=True)
@@ -92,6 +95,12 @@ class HeadingTable:
         """The table as arrays and as what JSON holds, from which ``unpack`` makes it again."""
         numbers = {"chirality": self.chirality, "std_factor": self.std_factor}
         return {name: getattr(self, name) for name in ARRAYS}, numbers
+
+    @classmethod
+    def unpack(cls, arrays: Mapping[str, np.ndarray], numbers: Mapping[str, Any]) -> Self:
+        """The table that was packed; raises KeyError where a part is missing."""
+        parts = {name: np.asarray(arrays[name]) for name in ARRAYS}
+        return cls(**parts, chirality=int(numbers["chirality"]), std_factor=float(numbers["std_factor"]))
 
     @cached_property
     def _tree(self) -> KDTree:
@@ -141,15 +150,6 @@ class HeadingTable:
         both[both < LEAST_WEIGHT] = 0.0
         found, std = np.stack([first, second], axis=1), self.std_factor * np.stack([spread, other_spread], axis=1)
         return np.where(both > 0.0, wrap(found), np.nan), np.where(both > 0.0, std, np.nan), both
-
-
-ARRAYS = ("spectrum", "place", "heading", "parallax", "position_std")
-
-
-def unpack(arrays: Mapping[str, np.ndarray], numbers: Mapping[str, Any]) -> HeadingTable:
-    """The table that was packed; raises KeyError where a part is missing."""
-    parts = {name: np.asarray(arrays[name]) for name in ARRAYS}
-    return HeadingTable(**parts, chirality=int(numbers["chirality"]), std_factor=float(numbers["std_factor"]))
 
 
 def take_phases(images: np.ndarray) -> np.ndarray:

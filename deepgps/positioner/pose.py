@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from deepgps.positioner.positioner import FeaturePositioner, NetworkPositioner, Positioner, confidence_of, headings_of
+from deepgps.positioner.positioner import FeaturePositioner, Positioner
 from sim.alignment import Alignment
 
 
@@ -57,9 +57,10 @@ class Poses:
 
 def find_poses(positioner: Positioner, observations: np.ndarray) -> Poses:
     """Poses of observations (B, ...) in the method's own frame."""
-    table = confidence_of(positioner)
-    if table is None or not isinstance(positioner, FeaturePositioner):
-        return _add_yaw(positioner, observations, locate_camera(positioner, observations))
+    if not isinstance(positioner, FeaturePositioner):
+        return Poses(positioner(observations))
+    if (table := positioner.confidence) is None:
+        return _add_yaw(positioner, observations, positioner.locate_camera(observations))
     camera, features = positioner.locate_with_features(observations)
     trust = table.find(features, camera)
     known = np.isfinite(trust.radius).all()
@@ -72,24 +73,13 @@ def find_poses(positioner: Positioner, observations: np.ndarray) -> Poses:
     )
 
 
-def locate_camera(positioner: Positioner, observations: np.ndarray) -> np.ndarray:
-    """Positions of the camera (B, 2) [m] in the method's frame; a network's own positions may be the axle's."""
-    network = isinstance(positioner, NetworkPositioner)
-    return positioner.locate_camera(observations) if network else positioner(observations)
-
-
-def _add_yaw(positioner: Positioner, observations: np.ndarray, camera: np.ndarray) -> Poses:
+def _add_yaw(positioner: FeaturePositioner, observations: np.ndarray, camera: np.ndarray) -> Poses:
     """Poses of observations taken where the camera is at (B, 2) [m]."""
-    headings = headings_of(positioner)
-    if headings is None:
+    if (headings := positioner.headings) is None:
         return Poses(camera)
-    if isinstance(positioner, NetworkPositioner):
-        found = positioner.find_yaws(observations, camera)
-        position = positioner.leave_camera(camera, found.yaw[:, 0])
-    else:
-        position, found = camera, headings.find(observations, camera)
+    found = positioner.find_yaws(observations, camera)
     return Poses(
-        position,
+        positioner.leave_camera(camera, found.yaw[:, 0]),
         headings.find_position_std(camera),
         found.yaw[:, 0],
         found.std[:, 0],

@@ -1,24 +1,27 @@
-"""Trained methods as maps from observations to positions."""
+"""Trained methods as maps from observations to positions: by a network, or by the nearest training observations.
 
+Each packs itself into tensors and what JSON holds, from which ``unpack`` makes it again; ``stored_positioner`` writes
+and reads both.
+"""
+
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 import torch
 from torch import nn
 
-from deepgps.config.learning import LearnSettings, NetworkSettings
-from deepgps.config.methods import find_method
+from deepgps.config.learning import FeatureSettings, LearnSettings, NetworkSettings
 from deepgps.data.features import Features, check_shape
 from deepgps.learning.batches import Inputs
+from deepgps.learning.networks import make_network
 from deepgps.learning.training_data import TrainingData
 from deepgps.positioner.confidence import COMPONENTS, Confidence
 from deepgps.positioner.headings import HeadingTable, Yaws
-from deepgps.positioner.nearest_scan import ScanPositioner
-from deepgps.positioner.trilateration import LandmarkPositioner
-from sim.errors import WorkError
+from sim.sensors.camera.lens import Lens
 from sim.sensors.camera.mount import Upright
 
 CHUNK = 500
@@ -27,8 +30,93 @@ LARGEST_TABLE = 16_000_000
 """Maximum number of distances between observations and stored neighbours that are in memory at once."""
 
 
+class Packed(NamedTuple):
+    """Tensors by name, and what JSON holds, of which a positioner is made again."""
+
+    tensors: dict[str, torch.Tensor]
+    numbers: dict[str, Any]
+
+
+class Positioner(ABC):
+    """A trained method as a map from observations to positions.
+
+    Attributes:
+        kind: Name of the class in ``positioner.json``.
+        headings: Table from which yaw is found; None: it gives positions alone.
+        confidence: Table from which novelty and radii are found; None: positions are given without.
+    """
+
+    kind: ClassVar[str]
+    headings: HeadingTable | None = None
+    confidence: Confidence | None = None
+
+    @abstractmethod
+    def __call__(self, observations: np.ndarray) -> np.ndarray:
+        """Positions (B, 2) float64 [m], in the method's own frame, of observations (B, ...)."""
+
+    def locate_camera(self, observations: np.ndarray) -> np.ndarray:
+        """Positions of the camera (B, 2) float64 [m]."""
+        return self(observations)
+
+    @abstractmethod
+    def pack(self) -> Packed:
+        """All but the two tables as tensors and as what JSON holds."""
+
+    @classmethod
+    @abstractmethod
+    def unpack(cls, packed: Packed) -> Self:
+        """The positioner that was packed; raises KeyError where a part is missing."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FeaturePositioner(Positioner):
+    """One that compares features of observations, and so may know yaw, novelty and radii.
+
+    Attributes:
+        upright: Sets images of a leaning camera upright before all else; None: images are taken as they are.
+    """
+
+    headings: HeadingTable | None = None
+    confidence: Confidence | None = None
+    upright: Upright | None = None
+
+    @abstractmethod
+    def locate_with_features(self, observations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Positions of the camera (B, 2) float64 [m], and the features (B, K) that are compared."""
+
+    def find_yaws(self, observations: np.ndarray, camera: np.ndarray) -> Yaws:
+        """Yaws of the robot at positions of the camera (B, 2) [m]; only with a table of headings."""
+        assert self.headings is not None
+        return self.headings.find(self.set_upright(observations), camera)
+
+    def leave_camera(self, camera: np.ndarray, yaw: np.ndarray) -> np.ndarray:
+        """Positions of the axle (B, 2) [m] by those of the camera and the yaw (B,) [rad]; where it is NaN, the same."""
+        return camera
+
+    def set_upright(self, observations: np.ndarray) -> np.ndarray:
+        """Images as if the camera had not leaned."""
+        images = np.asarray(observations)
+        return images if self.upright is None else self.upright(images)
+
+
+def pack_features(features: Features) -> Packed:
+    """The map to features, without the shape of an observation."""
+    tensors = {"features.mean": features.mean, "features.basis": features.basis}
+    if features.edges is not None:
+        tensors["features.edges"] = features.edges
+    return Packed(tensors, {"frequencies": features.frequencies, "values": features.values})
+
+
+def unpack_features(packed: Packed, name: str = "features") -> Features:
+    """The map to features whose tensors have this name, with the shape of an observation among the numbers."""
+    tensors, numbers = packed
+    mean, basis, edges = tensors[f"{name}.mean"], tensors[f"{name}.basis"], tensors.get(f"{name}.edges")
+    values = FeatureSettings(values=numbers["values"]).values
+    return Features(tuple(numbers["shape"]), numbers["frequencies"], mean, basis, edges, values)
+
+
 @dataclass(frozen=True)
-class NetworkPositioner:
+class NetworkPositioner(FeaturePositioner):
     """Positions by a trained network.
 
     Attributes:
@@ -38,13 +126,12 @@ class NetworkPositioner:
         network: The trained network, in evaluation mode, on any device; all else is on the CPU.
         centre: Origin of the plane in the network's output space (D,) [m].
         axes: Axes of the plane (D, 2).
-        upright: Sets images of a leaning camera upright before all else; None: images are taken as they are.
-        headings: Table from which yaw is found; none: it gives positions alone.
         mount: Camera ahead of the axle and to its left [m]. Positions are the axle's if a yaw is found and this is not
             zero, else the camera's.
-        confidence: Table from which novelty and radii are found; none: positions are given without.
-        likeness: The map from observations to the features that this table compares, of a network that takes images.
+        likeness: The map from observations to the features that are compared, of a network that takes images.
     """
+
+    kind = "network"
 
     shape: tuple[int, ...]
     features: Features | None
@@ -52,14 +139,10 @@ class NetworkPositioner:
     network: nn.Module
     centre: torch.Tensor
     axes: torch.Tensor
-    upright: Upright | None = None
-    headings: HeadingTable | None = None
     mount: tuple[float, float] = (0.0, 0.0)
-    confidence: Confidence | None = None
     likeness: Features | None = None
 
     def __call__(self, observations: np.ndarray) -> np.ndarray:
-        """Positions (B, 2) float64 [m], in the method's own frame, of observations (B, ...)."""
         camera = self.locate_camera(observations)
         if self.headings is None or not any(self.mount):
             return camera
@@ -68,11 +151,9 @@ class NetworkPositioner:
         return self.leave_camera(camera, np.concatenate([np.empty(0), *yaws]))
 
     def locate_camera(self, observations: np.ndarray) -> np.ndarray:
-        """Positions of the camera (B, 2) float64 [m]."""
         return self.embed(observations) @ self.axes.double().numpy()
 
     def locate_with_features(self, observations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Positions of the camera (B, 2) float64 [m], and the features (B, at most COMPONENTS) that are compared."""
         check_shape(observations, self.shape)
         projection = self.likeness if self.features is None else self.features
         assert projection is not None
@@ -81,19 +162,13 @@ class NetworkPositioner:
         found = np.empty((len(observations), len(self.centre)))
         for start in range(0, len(observations), CHUNK):
             part = slice(start, start + CHUNK)
-            images = self._set_upright(observations[part])
+            images = self.set_upright(observations[part])
             described = projection.apply(images)
             features[part] = described[:, :compared]
             found[part] = self._run(torch.from_numpy(images.copy()) if self.features is None else described)
         return found @ self.axes.double().numpy(), features
 
-    def find_yaws(self, observations: np.ndarray, camera: np.ndarray) -> Yaws:
-        """Yaws of the robot at positions of the camera (B, 2) [m]; only with a table of headings."""
-        assert self.headings is not None
-        return self.headings.find(self._set_upright(observations), camera)
-
     def leave_camera(self, camera: np.ndarray, yaw: np.ndarray) -> np.ndarray:
-        """Positions of the axle (B, 2) [m] by those of the camera and the yaw (B,) [rad]; where it is NaN, the same."""
         assert self.headings is not None
         ahead, left = self.mount
         left *= self.headings.chirality
@@ -105,14 +180,47 @@ class NetworkPositioner:
         check_shape(observations, self.shape)
         found = np.empty((len(observations), len(self.centre)))
         for start in range(0, len(observations), CHUNK):
-            images = self._set_upright(observations[start : start + CHUNK])
+            images = self.set_upright(observations[start : start + CHUNK])
             table = self.features.apply(images) if self.features else torch.from_numpy(images.copy())
             found[start : start + CHUNK] = self._run(table)
         return found
 
-    def _set_upright(self, observations: np.ndarray) -> np.ndarray:
-        images = np.asarray(observations)
-        return images if self.upright is None else self.upright(images)
+    def pack(self) -> Packed:
+        tensors = {f"network.{name}": tensor for name, tensor in self.network.state_dict().items()}
+        tensors |= {"centre": self.centre, "axes": self.axes}
+        numbers = {"network": self.settings.model_dump(mode="json"), "shape": list(self.shape)}
+        if self.upright is not None:
+            numbers["upright"] = asdict(self.upright)
+        if self.likeness is not None:
+            tensors |= {"likeness.mean": self.likeness.mean, "likeness.basis": self.likeness.basis}
+            numbers["likeness"] = {"frequencies": self.likeness.frequencies, "values": self.likeness.values}
+        if any(self.mount):
+            numbers["mount_m"] = list(self.mount)
+        stored, how = Packed({}, {"frequencies": None}) if self.features is None else pack_features(self.features)
+        return Packed(tensors | stored, numbers | how)
+
+    @classmethod
+    def unpack(cls, packed: Packed) -> Self:
+        tensors, numbers = packed
+        features = None if numbers["frequencies"] is None else unpack_features(packed)
+        likeness = numbers.get("likeness")
+        settings = NetworkSettings.model_validate(numbers["network"])
+        inputs = 0 if features is None else features.basis.shape[1]
+        network = make_network(settings, inputs, len(tensors["centre"]), torch.Generator())
+        own = {name.removeprefix("network."): t for name, t in tensors.items() if name.startswith("network.")}
+        network.load_state_dict(own)
+        ahead, left = numbers.get("mount_m", (0.0, 0.0))
+        return cls(
+            tuple(numbers["shape"]),
+            features,
+            settings,
+            network.eval(),
+            tensors["centre"],
+            tensors["axes"],
+            upright=_read_upright(numbers.get("upright")),
+            mount=(float(ahead), float(left)),
+            likeness=likeness and unpack_features(Packed(tensors, {**numbers, **likeness}), "likeness"),
+        )
 
     def _run(self, table: torch.Tensor) -> np.ndarray:
         device = next(self.network.parameters()).device
@@ -121,7 +229,7 @@ class NetworkPositioner:
 
 
 @dataclass(frozen=True)
-class NeighbourPositioner:
+class NeighbourPositioner(FeaturePositioner):
     """Positions by the nearest training observations in feature space, averaged with weights 1 / distance squared.
 
     Attributes:
@@ -129,27 +237,34 @@ class NeighbourPositioner:
         known: Features of the training observations (N, components).
         places: Their positions (N, 2) float64 [m].
         neighbours: Number of neighbours that are averaged.
-        headings: Table from which yaw is found; none: it gives positions alone.
-        confidence: Table from which novelty and radii are found; none: positions are given without.
     """
+
+    kind = "neighbours"
 
     features: Features
     known: torch.Tensor
     places: torch.Tensor
     neighbours: int
-    headings: HeadingTable | None = None
-    confidence: Confidence | None = None
 
     def __call__(self, observations: np.ndarray) -> np.ndarray:
-        """Positions (B, 2) float64 [m] of observations (B, ...)."""
         return self.locate_with_features(observations)[0]
 
     def locate_with_features(self, observations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Positions (B, 2) float64 [m] of observations (B, ...), and their features (B, components)."""
         features = self.features.apply(observations)
         chunk = max(1, min(CHUNK, LARGEST_TABLE // max(1, len(self.known))))
         found = [self._position(part) for part in features.split(chunk)]
         return np.concatenate([np.zeros((0, 2)), *found]), features.numpy()
+
+    def pack(self) -> Packed:
+        tensors, how = pack_features(self.features)
+        numbers = {"neighbours": self.neighbours, "shape": list(self.features.shape)}
+        return Packed(tensors | {"known": self.known, "places": self.places}, numbers | how)
+
+    @classmethod
+    def unpack(cls, packed: Packed) -> Self:
+        tensors, numbers = packed
+        features = unpack_features(packed)
+        return cls(features, tensors["known"], tensors["places"], numbers["neighbours"])
 
     def _position(self, features: torch.Tensor) -> np.ndarray:
         nearest = torch.cdist(features, self.known).topk(min(self.neighbours, len(self.known)), largest=False)
@@ -158,31 +273,11 @@ class NeighbourPositioner:
         return (weight[..., None] * self.places[nearest.indices]).sum(dim=1).numpy()
 
 
-@dataclass(frozen=True)
-class ArrayPositioner:
-    """Positions by a plugin's method from the arrays that it has learned.
-
-    Attributes:
-        method: Name of the method, whose plugin must be loaded.
-        arrays: What it has learned, by name.
-    """
-
-    method: str
-    arrays: Mapping[str, np.ndarray]
-
-    def __call__(self, observations: np.ndarray) -> np.ndarray:
-        """Positions (B, 2) float64 [m], in the method's own frame, of observations (B, ...)."""
-        method = find_method(self.method)
-        assert method.predict is not None
-        found = np.asarray(method.predict(self.arrays, np.asarray(observations)), float)
-        if found.shape != (len(observations), 2):
-            raise WorkError(f"method {self.method}: predict must return {(len(observations), 2)}, not {found.shape}")
-        return found
-
-
-FeaturePositioner = NetworkPositioner | NeighbourPositioner
-"""Those that compare features of observations, and so may know yaw, novelty and radii."""
-Positioner = FeaturePositioner | LandmarkPositioner | ScanPositioner | ArrayPositioner
+def _read_upright(stored: Mapping[str, Any] | None) -> Upright | None:
+    if stored is None:
+        return None
+    (roll, pitch), (right, ahead), (k1, k2, k3, k4) = stored["lean"], stored["parallax"], stored["lens"]["k"]
+    return Upright(Lens(stored["lens"]["half_angle"], (k1, k2, k3, k4)), (roll, pitch), (right, ahead))
 
 
 class Fitted(NamedTuple):
@@ -203,32 +298,15 @@ class Fitted(NamedTuple):
         return self._replace(training={**self.training, **more})
 
 
-def headings_of(positioner: Positioner) -> HeadingTable | None:
-    """The table from which a positioner finds yaw; None: it gives positions alone."""
-    return positioner.headings if isinstance(positioner, FeaturePositioner) else None
-
-
-def confidence_of(positioner: Positioner) -> Confidence | None:
-    """The table from which a positioner finds novelty and radii; None: it gives positions without."""
-    return positioner.confidence if isinstance(positioner, FeaturePositioner) else None
-
-
 def as_positioner(
     data: TrainingData, settings: LearnSettings, network: nn.Module, centre: torch.Tensor, axes: torch.Tensor
 ) -> NetworkPositioner:
     """The trained network as a positioner, on the device where it was trained."""
-    projection, features, likeness = data.projection, None, None
-    if settings.network.architecture == "spectral":
-        features = projection
-    else:
-        likeness = replace(projection, basis=projection.basis[:, :COMPONENTS].contiguous())
+    features, likeness = data.projection, None
+    if settings.network.architecture != "spectral":
+        likeness = replace(features, basis=features.basis[:, :COMPONENTS].contiguous())
+        features = None
+    plane = (centre.cpu(), axes.cpu())
     return NetworkPositioner(
-        data.shape,
-        features,
-        settings.network,
-        network.eval(),
-        centre.cpu(),
-        axes.cpu(),
-        data.upright,
-        likeness=likeness,
+        data.shape, features, settings.network, network.eval(), *plane, upright=data.upright, likeness=likeness
     )

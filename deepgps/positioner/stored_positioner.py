@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,32 +12,21 @@ from pydantic import ValidationError
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save
 
-from deepgps.config.learning import FeatureSettings, NetworkSettings
-from deepgps.data.features import Features
-from deepgps.learning.networks import make_network
-from deepgps.positioner import confidence
-from deepgps.positioner.headings import unpack
-from deepgps.positioner.nearest_scan import NAMES, ScanPositioner
-from deepgps.positioner.positioner import (
-    CPU,
-    ArrayPositioner,
-    FeaturePositioner,
-    NeighbourPositioner,
-    NetworkPositioner,
-    Positioner,
-    confidence_of,
-    headings_of,
-)
-from deepgps.positioner.trilateration import LandmarkPositioner
+from deepgps.positioner.confidence import Confidence
+from deepgps.positioner.headings import HeadingTable
+from deepgps.positioner.positioner import CPU, NeighbourPositioner, NetworkPositioner, Packed, Positioner
+from deepgps.positioner.without_features import ArrayPositioner, LandmarkPositioner, ScanPositioner
 from sim.errors import DamagedError, InputError, WorkError, one_line
 from sim.files.atomic import write_bytes
 from sim.files.checksums import FORMAT, check_sha256, damaged, read_json, refuse_format, write_json
-from sim.sensors.camera.lens import Lens
-from sim.sensors.camera.mount import Upright
 
 INDEX, WEIGHTS = "positioner.json", "weights.safetensors"
-HEADINGS, CONFIDENCE = "headings.", "confidence."
-"""Prefixes of the arrays of these tables among the weights."""
+TABLES = {"yaw": ("headings", HeadingTable), "confidence": ("confidence", Confidence)}
+"""Entries of the description for tables, with the attributes whose names begin those of their arrays."""
+KINDS = {
+    one.kind: one
+    for one in (NetworkPositioner, NeighbourPositioner, ScanPositioner, LandmarkPositioner, ArrayPositioner)
+}
 
 
 def is_finished(folder: Path) -> bool:
@@ -56,13 +45,12 @@ def save_positioner(folder: Path, positioner: Any, training: Mapping[str, Any]) 
             f"method {folder.name}: fit must return one of deepgps's own positioners, or arrays by name if the method "
             f"has predict, and not a {type(positioner).__name__}"
         )
-    tensors, description = _take_apart(positioner)
-    if (headings := headings_of(positioner)) is not None:
-        arrays, description["yaw"] = headings.pack()
-        tensors |= {f"{HEADINGS}{name}": torch.from_numpy(array) for name, array in arrays.items()}
-    if (table := confidence_of(positioner)) is not None:
-        arrays, description["confidence"] = table.pack()
-        tensors |= {f"{CONFIDENCE}{name}": torch.from_numpy(array) for name, array in arrays.items()}
+    tensors, numbers = positioner.pack()
+    description = {"kind": positioner.kind, **numbers}
+    for key, (attribute, _) in TABLES.items():
+        if (table := getattr(positioner, attribute)) is not None:
+            arrays, description[key] = table.pack()
+            tensors |= {f"{attribute}.{name}": torch.from_numpy(array) for name, array in arrays.items()}
     weights = save({name: t.contiguous() for name, t in tensors.items()})
     write_bytes(folder / WEIGHTS, weights)
     write_json(folder / "training.json", training)
@@ -77,12 +65,13 @@ def load_positioner(folder: Path, device: torch.device = CPU) -> Positioner:
     try:
         description = check_positioner(folder)
         tensors = load_file(folder / WEIGHTS)
-        positioner = _put_together(description, tensors, device)
-        if isinstance(positioner, FeaturePositioner) and description.get("yaw") is not None:
-            positioner = replace(positioner, headings=unpack(_take(tensors, HEADINGS), description["yaw"]))
-        if isinstance(positioner, FeaturePositioner) and description.get("confidence") is not None:
-            table = confidence.unpack(_take(tensors, CONFIDENCE), description["confidence"])
-            positioner = replace(positioner, confidence=table)
+        positioner = KINDS[description["kind"]].unpack(Packed(tensors, description))
+        for key, (attribute, kind) in TABLES.items():
+            if (numbers := description.get(key)) is not None:
+                table = kind.unpack(_take(tensors, f"{attribute}."), numbers)
+                positioner = replace(positioner, **{attribute: table})
+        if isinstance(positioner, NetworkPositioner):
+            positioner.network.to(device)
         return positioner
     except DamagedError as error:
         raise DamagedError(f"{error}; delete {folder} and train the method again") from None
@@ -113,80 +102,3 @@ def read_training(folder: Path) -> dict[str, Any]:
         return read_json(folder / "training.json")
     except DamagedError as error:
         raise DamagedError(f"{error}; delete {folder} and train the method again") from None
-
-
-def _take_apart(positioner: Positioner) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
-    if isinstance(positioner, ArrayPositioner):
-        arrays = {name: torch.from_numpy(np.ascontiguousarray(array)) for name, array in positioner.arrays.items()}
-        return arrays, {"kind": "arrays", "method": positioner.method}
-    if isinstance(positioner, LandmarkPositioner):
-        reach_m = None if np.isinf(positioner.reach_m) else positioner.reach_m
-        return {"landmark": torch.from_numpy(positioner.landmark)}, {"kind": "landmarks", "reach_m": reach_m}
-    if isinstance(positioner, ScanPositioner):
-        return positioner.tensors(), {"kind": "scans", "headings": positioner.headings}
-    features = positioner.features
-    tensors = {} if features is None else {"features.mean": features.mean, "features.basis": features.basis}
-    if features is not None and features.edges is not None:
-        tensors["features.edges"] = features.edges
-    values = {} if features is None else {"values": features.values}
-    frequencies = None if features is None else features.frequencies
-    if isinstance(positioner, NeighbourPositioner):
-        assert features is not None
-        tensors |= {"known": positioner.known, "places": positioner.places}
-        kind = {"kind": "neighbours", "neighbours": positioner.neighbours, "shape": list(features.shape)}
-    else:
-        tensors |= {f"network.{name}": tensor for name, tensor in positioner.network.state_dict().items()}
-        tensors |= {"centre": positioner.centre, "axes": positioner.axes}
-        network = positioner.settings.model_dump(mode="json")
-        kind = {"kind": "network", "network": network, "shape": list(positioner.shape)}
-        if positioner.upright is not None:
-            kind["upright"] = asdict(positioner.upright)
-        if (likeness := positioner.likeness) is not None:
-            tensors |= {"likeness.mean": likeness.mean, "likeness.basis": likeness.basis}
-            kind["likeness"] = {"frequencies": likeness.frequencies, "values": likeness.values}
-        if any(positioner.mount):
-            kind["mount_m"] = list(positioner.mount)
-    return tensors, {**kind, "frequencies": frequencies, **values}
-
-
-def _put_together(
-    description: Mapping[str, Any], tensors: Mapping[str, torch.Tensor], device: torch.device
-) -> Positioner:
-    if description.get("kind") == "landmarks":
-        reach_m = description["reach_m"]
-        return LandmarkPositioner(tensors["landmark"].numpy(), np.inf if reach_m is None else float(reach_m))
-    if description.get("kind") == "arrays":
-        return ArrayPositioner(description["method"], {name: tensor.numpy() for name, tensor in tensors.items()})
-    if description.get("kind") == "scans":
-        mean, axes, known, places = (tensors[name].numpy() for name in NAMES)
-        return ScanPositioner(mean, axes, known, places, description["headings"])
-    shape = tuple(description["shape"])
-    features = None
-    if description["frequencies"] is not None:
-        mean, basis = tensors["features.mean"], tensors["features.basis"]
-        values = FeatureSettings(values=description["values"]).values
-        features = Features(shape, description["frequencies"], mean, basis, tensors.get("features.edges"), values)
-    if description["kind"] == "neighbours" and features is not None:
-        return NeighbourPositioner(features, tensors["known"], tensors["places"], description["neighbours"])
-    settings = NetworkSettings.model_validate(description["network"])
-    inputs = 0 if features is None else features.basis.shape[1]
-    network = make_network(settings, inputs, len(tensors["centre"]), torch.Generator())
-    own = {name.removeprefix("network."): t for name, t in tensors.items() if name.startswith("network.")}
-    network.load_state_dict(own)
-    upright = _read_upright(description.get("upright"))
-    ahead, left = description.get("mount_m", (0.0, 0.0))
-    centre, axes, likeness = tensors["centre"], tensors["axes"], None
-    if (stored := description.get("likeness")) is not None:
-        mean, basis = tensors["likeness.mean"], tensors["likeness.basis"]
-        likeness = Features(shape, stored["frequencies"], mean, basis, values=stored["values"])
-    mount = (float(ahead), float(left))
-    return NetworkPositioner(
-        shape, features, settings, network.to(device).eval(), centre, axes, upright, mount=mount, likeness=likeness
-    )
-
-
-def _read_upright(stored: Mapping[str, Any] | None) -> Upright | None:
-    if stored is None:
-        return None
-    (roll, pitch), (right, ahead), (k1, k2, k3, k4) = stored["lean"], stored["parallax"], stored["lens"]["k"]
-    return Upright(Lens(stored["lens"]["half_angle"], (k1, k2, k3, k4)), (roll, pitch), (right, ahead))

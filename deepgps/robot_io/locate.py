@@ -13,7 +13,6 @@ from deepgps.data.checks import find_view
 from deepgps.learning.trainer import use_threads
 from deepgps.positioner.confidence import LEVELS, find_normal_radius
 from deepgps.positioner.pose import Poses, find_poses
-from deepgps.positioner.positioner import headings_of
 from deepgps.robot_io.sources import Odometry, Picture, Unwrapper, check_images, open_pictures, open_source
 from deepgps.terminal.progress import Report
 from deepgps.tracking.causes import Watch, make_monitor
@@ -198,7 +197,7 @@ def make_step(mirrored: bool, odometry: Odometry) -> Step:
 
 def is_mirrored(run: Run, method: str | None) -> bool:
     """Whether turns are mirrored in a method's map; raises InputError if nothing tells, as the method gives no yaw."""
-    headings = headings_of(run.positioner(method))
+    headings = run.positioner(method).headings
     if headings is None:
         raise InputError(f"--track: method {run.choose(method)} gives no yaw, so its map may be mirrored")
     return headings.chirality < 0

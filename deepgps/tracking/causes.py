@@ -13,8 +13,7 @@ import numpy as np
 
 from deepgps.data.turns import MOST_TURNS, adapt_upright, compare_images, find_in_place, ignore_small, turns_with_images
 from deepgps.positioner.confidence import Confidence
-from deepgps.positioner.pose import locate_camera
-from deepgps.positioner.positioner import FeaturePositioner, NetworkPositioner, Positioner, confidence_of
+from deepgps.positioner.positioner import FeaturePositioner, Positioner
 from deepgps.tracking.comparison import Comparison, KnownImages, learn_images
 from deepgps.tracking.rules import (
     FAULTY,
@@ -134,7 +133,7 @@ class Monitor:
     def name(self, drive: Recording) -> Causes:
         """Name the causes in a drive."""
         upright, change = self._find_lean(drive)
-        corrected = isinstance(self.positioner, NetworkPositioner) and self.positioner.upright is not None
+        corrected = self.positioner.upright is not None
         positioner = replace(self.positioner, upright=upright) if corrected else self.positioner
         images = drive.observation
         camera, features = positioner.locate_with_features(images)
@@ -202,14 +201,11 @@ def make_monitor(positioner: Positioner, recording: Recording) -> Monitor | None
 
     None where observations are no polar images, or the method accepts all.
     """
-    confidence = confidence_of(positioner)
-    if confidence is None or not isinstance(positioner, FeaturePositioner):
+    confidence = positioner.confidence
+    if confidence is None or not isinstance(positioner, FeaturePositioner) or recording.kind != "polar_image":
         return None
-    if recording.kind != "polar_image":
-        return None
-    upright = positioner.upright if isinstance(positioner, NetworkPositioner) else None
-    upright = upright or measure_upright(recording)
-    camera = locate_camera(positioner, recording.observation)
+    upright = positioner.upright or measure_upright(recording)
+    camera = positioner.locate_camera(recording.observation)
     return Monitor(positioner, confidence, upright, learn_images(recording, upright, camera), find_limits(recording))
 
 
@@ -247,7 +243,7 @@ class Watch:
     def step(self, image: np.ndarray, novelty: float) -> str:
         """Name of the cause of the next polar image (rings, sectors, 3) with this novelty [m]; empty: none."""
         one, monitor = image[None], self._monitor
-        compared = monitor.known.compare(one, locate_camera(monitor.positioner, one), monitor.upright)
+        compared = monitor.known.compare(one, monitor.positioner.locate_camera(one), monitor.upright)
         self._seen.append(monitor.look(one, np.array([False]), np.array([novelty]), compared))
         parts = {name: np.concatenate([vars(seen)[name] for seen in self._seen]) for name in vars(self._seen[-1])}
         found = monitor.weigh(Seen(**parts), False)

@@ -12,7 +12,7 @@ import numpy as np
 from deepgps.data.segments import Segments, dead_reckon, read_segments
 from deepgps.initial_map.distances.dense import find_chirality
 from deepgps.positioner.pose import Poses, find_poses
-from deepgps.positioner.positioner import Positioner, headings_of
+from deepgps.positioner.positioner import Positioner
 from deepgps.terminal.progress import Report
 from deepgps.tracking.drive import Drive, find_shared, mend_wheels, read_drive
 from deepgps.tracking.filter import State, estimate, run_forward, smooth, weigh
@@ -135,7 +135,7 @@ def track_drive(positioner: Positioner, recording: Recording, progress: Report) 
 
 def find_mirroring(positioner: Positioner, segments: Segments, drive: Drive, position: np.ndarray) -> int:
     """1; -1 where the map is mirrored, so that a turn to the left is one to the right in it."""
-    headings = headings_of(positioner)
+    headings = positioner.headings
     if headings is not None:
         return headings.chirality
     return find_chirality(position, segments, drive.turns.angle)

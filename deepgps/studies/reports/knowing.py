@@ -21,7 +21,6 @@ from deepgps.data.segments import find_runs
 from deepgps.evaluation.in_use import open_drive_in_use
 from deepgps.methods.fit import fit_method
 from deepgps.methods.train import training_seed
-from deepgps.positioner.pose import locate_camera
 from deepgps.positioner.stored_positioner import load_positioner
 from deepgps.reports.run_report import read_metrics
 from deepgps.reports.table import tabulate
@@ -162,7 +161,7 @@ def derive_drives(run: Path, method: str) -> Iterator[JudgedDrive]:
         yield describe(TITLES[cause], cause, monitor.name(spoil_drive(drive, spoil)))
     for other in find_other_rooms(run, recording):
         yield describe(TITLES["other_room"], "other_room", monitor.name(other))
-    position = locate_camera(monitor.positioner, recording.observation)
+    position = monitor.positioner.locate_camera(recording.observation)
     part = keep_segments(recording, position[:, 0] < np.quantile(position[:, 0], SEEN))
     learns = METHODS[method].reads_ticks  # others learn from labels, which are of all images
     if learns and len(np.unique(part.reading[:, 0])) >= FEWEST:

@@ -11,7 +11,7 @@ from deepgps.config.learning import LearnSettings, PcaSettings
 from deepgps.methods import baselines
 from deepgps.methods.baselines import draw_turns, turn_scans
 from deepgps.methods.fit import fit_method
-from deepgps.positioner.nearest_scan import ScanPositioner
+from deepgps.positioner.without_features import ScanPositioner
 from deepgps.terminal.progress import ignore
 from sim.alignment import fit_alignment
 from sim.errors import InputError
@@ -140,7 +140,7 @@ def test_the_nearest_scan_is_the_nearest_in_principal_components(scans: Recordin
     seen = np.asarray(scans.test_observation[:, 1])
     projected, known = positioner.project(seen[:, 0]).astype(float), positioner.known.astype(float)
     apart = ((projected[:, None] - known[None]) ** 2).sum(axis=-1)
-    assert np.array_equal(positioner(seen), positioner.places[apart.argmin(axis=1) // positioner.headings])
+    assert np.array_equal(positioner(seen), positioner.places[apart.argmin(axis=1) // positioner.turns])
     error = np.linalg.norm(positioner(seen) - open_truth(scans.folder).test_pose[:, 1, :2], axis=1)
     assert np.median(error) < 0.05
     known_places = open_truth(scans.folder).pose[:, :2]

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from deepgps.data.segments import HELD_OUT, LEAST_SEGMENTS, Segments, choose_held_out, find_held_out
-from deepgps.positioner.confidence import GROWTH, LEVELS, Confidence, find_normal_radius, unpack
+from deepgps.positioner.confidence import GROWTH, LEVELS, Confidence, find_normal_radius
 from deepgps.positioner.confidence_fit import (
     FAR_M,
     LEAST_ERRORS,
@@ -122,7 +122,7 @@ def test_a_rigid_motion_of_the_map_changes_nothing(table: Confidence) -> None:
 
 def test_packing_keeps_every_bit(table: Confidence) -> None:
     _, place = drive(50, seed=5)
-    same = unpack(*table.pack())
+    same = Confidence.unpack(*table.pack())
     before, after = table.find(lift(place), place), same.find(lift(place), place)
     assert np.array_equal(before.novelty, after.novelty)
     assert np.array_equal(before.radius, after.radius)
@@ -130,7 +130,7 @@ def test_packing_keeps_every_bit(table: Confidence) -> None:
 
 def test_without_segments_held_out_radii_come_from_interpolation_and_are_not_too_small() -> None:
     segments, place = drive(LEAST_SEGMENTS - 1)
-    table = unpack(*make(segments, lift(place), place).pack())
+    table = Confidence.unpack(*make(segments, lift(place), place).pack())
     assert not table.find(lift(place + 50.0), place).accepted.any()
     _, place = drive(400, seed=2)
     guessed = interpolate(table, lift(place))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from deepgps.positioner.heading_fit import CELL_M, fit_lines, make_headings
-from deepgps.positioner.headings import HeadingTable, Yaws, unpack
+from deepgps.positioner.headings import HeadingTable, Yaws
 from sim.alignment import fit_alignment
 from sim.geometry import wrap
 from sim.recording.format import Recording, open_recording, write_files
@@ -165,7 +165,7 @@ def test_packed_and_unpacked_it_is_the_same(table: HeadingTable) -> None:
     pose, images = draw_queries()
     for one, other in zip(
         vars(find(table, images, pose[:, :2])).values(),
-        vars(find(unpack(arrays, numbers), images, pose[:, :2])).values(),
+        vars(find(HeadingTable.unpack(arrays, numbers), images, pose[:, :2])).values(),
         strict=True,
     ):
         assert np.array_equal(one, other, equal_nan=True)

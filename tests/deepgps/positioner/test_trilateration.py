@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
 from deepgps.positioner.stored_positioner import load_positioner, save_positioner
-from deepgps.positioner.trilateration import LandmarkPositioner, find_seen, trilaterate
+from deepgps.positioner.without_features import LandmarkPositioner, find_seen, trilaterate
 from sim.errors import InputError
 
 RNG = np.random.default_rng(0)

@@ -19,7 +19,7 @@ from deepgps.data.features import Features
 from deepgps.learning.networks import make_network
 from deepgps.positioner.pose import Poses, find_poses
 from deepgps.positioner.positioner import NetworkPositioner
-from deepgps.positioner.trilateration import LandmarkPositioner
+from deepgps.positioner.without_features import LandmarkPositioner
 from deepgps.robot_io import export
 from deepgps.robot_io.deployed import Deployed, FeatureModule
 from deepgps.robot_io.export import OUTPUTS, write_onnx
