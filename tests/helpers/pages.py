@@ -30,6 +30,7 @@ PAGES = [
     *(page for page in sorted((ROOT / "docs").rglob("*.md")) if not str(page.relative_to(ROOT)).startswith(GENERATED)),
 ]
 BLOCK = re.compile(r"^( *)```(\S+)\n(.*?)^\1```$", re.MULTILINE | re.DOTALL)
+INCLUDED = re.compile(r"^```\{literalinclude\} (\S+\.xml)\n(?::.*\n)*", re.MULTILINE)
 NAMED = re.compile(r"(?:#|<!--) (\S+\.(?:yaml|xml|py))(?: -->)?\n")
 STAGES = ("run", "collect", "train", "evaluate")
 IMPORTED = "runs/my_drive"
@@ -66,8 +67,8 @@ class Block:
 
 
 def find_blocks(page: Path) -> Iterator[Block]:
-    """The fenced blocks of a page, without Sphinx's directives."""
-    text = page.read_text(encoding="utf-8")
+    """The fenced blocks of a page and the XML files that it includes, without other directives of Sphinx."""
+    text = INCLUDED.sub(lambda found: f"```xml\n{(page.parent / found[1]).read_text()}", page.read_text(encoding="utf-8"))
     for found in BLOCK.finditer(text):
         if not found[2].startswith("{"):
             yield Block(page, text.count("\n", 0, found.start()) + 1, found[2], dedent(found[3]))
