@@ -68,7 +68,8 @@ class Block:
 
 def find_blocks(page: Path) -> Iterator[Block]:
     """The fenced blocks of a page and the XML files that it includes, without other directives of Sphinx."""
-    text = INCLUDED.sub(lambda found: f"```xml\n{(page.parent / found[1]).read_text()}", page.read_text(encoding="utf-8"))
+    written = page.read_text(encoding="utf-8")
+    text = INCLUDED.sub(lambda found: f"```xml\n{(page.parent / found[1]).read_text()}", written)
     for found in BLOCK.finditer(text):
         if not found[2].startswith("{"):
             yield Block(page, text.count("\n", 0, found.start()) + 1, found[2], dedent(found[3]))
