@@ -14,28 +14,87 @@ import numpy as np
 from deepgps.data.turns import MOST_TURNS, adapt_upright, compare_images, find_in_place, ignore_small, turns_with_images
 from deepgps.positioner.confidence import Confidence
 from deepgps.positioner.positioner import FeaturePositioner, Positioner
-from deepgps.tracking.comparison import Comparison, KnownImages, learn_images
-from deepgps.tracking.rules import (
-    FAULTY,
-    MORE,
-    MOSTLY,
-    OFTEN,
-    TITLES,
-    WINDOW,
-    Evidence,
+from deepgps.tracking.comparison import (
+    Comparison,
     ImageLimits,
-    Seen,
+    KnownImages,
     check_images,
     find_driven,
     find_limits,
-    find_long,
-    label,
-    median_around,
-    share_around,
+    learn_images,
 )
 from sim.recording.format import Recording
 from sim.recording.turns import from_array
 from sim.sensors.camera.mount import Upright
+
+TITLES = {
+    "black": "black image",
+    "white": "white image",
+    "covered": "lens covered",
+    "frozen": "frozen image",
+    "light": "light or exposure changed",
+    "camera": "camera leans or moved",
+    "other_room": "another room",
+    "furniture": "furniture moved or someone in view",
+    "new_place": "never or seldom been here",
+}
+"""Names of the causes in ``metrics.json``, and the causes in words."""
+FAULTY = ("black", "white", "covered", "frozen")
+"""Causes of images that do not show where the camera is or how it leans."""
+WINDOW, NEARLY_ALL = 150, 0.95
+"""The robot is in another room if this share of so many consecutive images is new."""
+AROUND, OFTEN, MOSTLY = 50, 0.25, 0.5
+"""The light has changed where values differ in the first share of so many images before and after an image; where they
+differ in the second share, it is also why others are refused."""
+MORE = 2.0
+"""Refused images show that the room has changed if there are so many times more around than the drive explains."""
+FEWEST = 10
+"""Accepted images around an image, at least, that show whether the room has changed."""
+LEAN_RINGS = 1.0 / 6.0
+"""A camera has moved if it leans otherwise than in training by this part of a ring: 0.5 degrees with 32 rings."""
+RELIT = 2.0
+"""An image is relit if its values differ this many times as much as those of one training image in a hundred."""
+NOTABLE = 0.05
+"""A drive has a cause if this share of its images does."""
+
+Signs = dict[str, np.ndarray]
+"""What N images show, each by itself: arrays (N,) by name, all but the last bool.
+
+black, white, covered, frozen: by ``check_images``; accepted: the method accepts its position; unusual: it is refused
+because it is more novel than most images of the training drive, others because that drive was too short to know their
+place well; known_place: it matches a training image better than images of different places match; beyond: it is farther
+from all training images on the map than nearly all of these are from other segments; relit: its values differ from
+those of the match as a whole; correlation: with the best match among the training images.
+"""
+
+
+def label(
+    signs: Signs, relit_around: np.ndarray, changed: np.ndarray, leaning: bool, other_room: np.ndarray
+) -> np.ndarray:
+    """Name of each image's cause, the first that holds (N,) str; empty: none.
+
+    The light can change though an image is accepted. Furniture has moved in images of known places, but not in those
+    that are refused since the training drive was short.
+
+    Args:
+        signs: What each image shows by itself.
+        relit_around: Share of relit images around each (N,).
+        changed: Whether the images around it, or it and those near by, show that the room has changed (N,) bool.
+        leaning: Whether the camera leans otherwise than in training, and the method does not correct it.
+        other_room: Whether it is in a long stretch of images nearly all of which are of no known place (N,) bool.
+    """
+    known, refused = signs["known_place"], ~signs["accepted"]
+    relit = known & signs["relit"] & (relit_around >= OFTEN)
+    rules = {
+        **{name: signs[name] for name in FAULTY},
+        "light": relit | (refused & (relit_around >= MOSTLY)),
+        "": ~refused,
+        "camera": known & leaning,
+        "other_room": other_room,
+        "furniture": known & changed,
+        "new_place": refused,
+    }
+    return np.select(list(rules.values()), list(rules), "")
 
 
 def describe_causes(causes: Mapping[str, Any]) -> str:
@@ -57,14 +116,6 @@ def describe_causes(causes: Mapping[str, Any]) -> str:
 def _list_shares(shares: Mapping[str, float]) -> str:
     ordered = sorted(shares, key=lambda name: -shares[name])
     return ", ".join(f"{TITLES[name]} {100 * shares[name]:.1f} %" for name in ordered)
-
-
-LEAN_RINGS = 1.0 / 6.0
-"""A camera has moved if it leans otherwise than in training by this part of a ring: 0.5 degrees with 32 rings."""
-RELIT = 2.0
-"""An image is relit if its values differ this many times as much as those of one training image in a hundred."""
-NOTABLE = 0.05
-"""A drive has a cause if this share of its images does."""
 
 
 @dataclass(frozen=True)
@@ -140,10 +191,11 @@ class Monitor:
         compared = self.known.compare(images, camera, upright)
         leans = upright is not None and change is not None and change > find_least_lean(upright, images.shape[1])
         novelty = self.confidence.measure(features, camera)[0]
-        seen = self.look(images, find_driven(drive), novelty, compared)
-        gain = float(np.median(compared.gain[seen.known_place])) if seen.known_place.any() else None
-        causes = label(self.weigh(seen, leans and not corrected))
-        accepted = seen.accepted & ~np.isin(causes, FAULTY)
+        signs = self.look(images, find_driven(drive), novelty, compared)
+        known = signs["known_place"]
+        gain = float(np.median(compared.gain[known])) if known.any() else None
+        causes = self.label(signs, leans and not corrected, min(WINDOW, len(images)))
+        accepted = signs["accepted"] & ~np.isin(causes, FAULTY)
         return Causes(causes, accepted, None if change is None else float(np.degrees(change)), leans, gain)
 
     def _find_lean(self, drive: Recording) -> tuple[Upright | None, float | None]:
@@ -153,7 +205,7 @@ class Monitor:
         upright, lean = adapt_upright(self.upright, drive)
         return upright, None if lean is None else float(np.linalg.norm(np.subtract(lean, self.upright.lean)))
 
-    def look(self, images: np.ndarray, moved: np.ndarray, novelty: np.ndarray, compared: Comparison) -> Seen:
+    def look(self, images: np.ndarray, moved: np.ndarray, novelty: np.ndarray, compared: Comparison) -> Signs:
         """What each image shows by itself.
 
         Args:
@@ -163,32 +215,30 @@ class Monitor:
             compared: How they compare with the known images.
         """
         known = compared.correlation > self.known.other_place
-        return Seen(
-            **vars(check_images(images, moved, self.limits)),
-            accepted=novelty <= self.confidence.threshold_m,
-            unusual=novelty > self.confidence.usual_m,
-            known_place=known,
-            beyond=compared.away_m > self.known.gap_m,
-            relit=known & (compared.relit > RELIT * self.known.usual_light),
-            correlation=compared.correlation,
-        )
+        return {
+            **check_images(images, moved, self.limits),
+            "accepted": novelty <= self.confidence.threshold_m,
+            "unusual": novelty > self.confidence.usual_m,
+            "known_place": known,
+            "beyond": compared.away_m > self.known.gap_m,
+            "relit": known & (compared.relit > RELIT * self.known.usual_light),
+            "correlation": compared.correlation,
+        }
 
-    def weigh(self, seen: Seen, leaning: bool) -> Evidence:
-        """What is known of images in the order driven.
+    def label(self, signs: Signs, leaning: bool, window: int) -> np.ndarray:
+        """Name of the cause of each image in the order driven (N,) str; empty: none.
 
         Args:
-            seen: What each shows by itself.
+            signs: What each shows by itself.
             leaning: Whether the camera leans otherwise than in training, and the method does not correct it.
+            window: Images that a stretch of another room has at least.
         """
-        often, new = share_around(seen.relit), ~seen.known_place & ~seen.accepted
-        return Evidence(
-            **{**vars(seen), "relit": seen.relit & (often >= OFTEN)},
-            mostly_relit=often >= MOSTLY,
-            changed=median_around(seen.correlation, seen.accepted) < self.known.usual_match,
-            often_refused=share_around(~seen.accepted) > MORE * self.confidence.refused,
-            leaning=np.full(len(new), leaning),
-            long_new=find_long(new),
-        )
+        accepted = signs["accepted"]
+        often_refused = share_around(~accepted) > MORE * self.confidence.refused
+        changed = median_around(signs["correlation"], accepted) < self.known.usual_match
+        changed |= ~signs["beyond"] & (signs["unusual"] | often_refused)
+        other_room = find_long(~signs["known_place"] & ~accepted, window)
+        return label(signs, share_around(signs["relit"]), changed, leaning, other_room)
 
 
 def find_least_lean(upright: Upright, rings: int) -> float:
@@ -219,15 +269,12 @@ def measure_upright(recording: Recording) -> Upright | None:
 
 
 def name_causes(positioner: Positioner, recording: Recording, drive: Recording) -> Causes | None:
-    """Name why images of a drive in use are refused or suspicious.
+    """Name why images of a drive in use are refused or suspicious; None like ``make_monitor``.
 
     Args:
         positioner: The method as trained.
         recording: What it has learned from.
         drive: The drive in use.
-
-    Returns:
-        The causes; None where observations are no polar images, or the method accepts all.
     """
     monitor = make_monitor(positioner, recording)
     return None if monitor is None else monitor.name(drive)
@@ -238,15 +285,38 @@ class Watch:
 
     def __init__(self, monitor: Monitor) -> None:
         self._monitor = monitor
-        self._seen = deque[Seen](maxlen=WINDOW)
+        self._signs = deque[Signs](maxlen=WINDOW)
 
     def step(self, image: np.ndarray, novelty: float) -> str:
         """Name of the cause of the next polar image (rings, sectors, 3) with this novelty [m]; empty: none."""
         one, monitor = image[None], self._monitor
         compared = monitor.known.compare(one, monitor.positioner.locate_camera(one), monitor.upright)
-        self._seen.append(monitor.look(one, np.array([False]), np.array([novelty]), compared))
-        parts = {name: np.concatenate([vars(seen)[name] for seen in self._seen]) for name in vars(self._seen[-1])}
-        found = monitor.weigh(Seen(**parts), False)
-        if len(self._seen) < WINDOW:  # too few to be another room
-            found = replace(found, long_new=np.zeros(len(self._seen), bool))
-        return str(label(found)[-1])
+        self._signs.append(monitor.look(one, np.array([False]), np.array([novelty]), compared))
+        signs = {name: np.concatenate([each[name] for each in self._signs]) for name in self._signs[-1]}
+        return str(monitor.label(signs, False, WINDOW)[-1])
+
+
+def find_long(new: np.ndarray, size: int = WINDOW) -> np.ndarray:
+    """Which images (N,) are in a stretch of ``size`` images nearly all of which are new (N,) bool."""
+    long = np.zeros(len(new), bool)
+    for start in range(len(new) - size + 1):
+        if size and new[start : start + size].mean() >= NEARLY_ALL:
+            long[start : start + size] = True
+    return long
+
+
+def share_around(found: np.ndarray) -> np.ndarray:
+    """Share of the images within ``AROUND`` of each image (N,) that have what is found (N,) bool."""
+    total, rows = np.append(0, np.cumsum(found)), np.arange(len(found))
+    first, last = np.maximum(rows - AROUND, 0), np.minimum(rows + AROUND + 1, len(found))
+    return (total[last] - total[first]) / np.maximum(last - first, 1)
+
+
+def median_around(values: np.ndarray, among: np.ndarray) -> np.ndarray:
+    """Median value (N,) of images within ``AROUND`` of each that count (N,) bool; NaN with fewer than ``FEWEST``."""
+    found = np.full(len(values), np.nan)
+    for row in range(len(values)):
+        some = slice(max(row - AROUND, 0), row + AROUND + 1)
+        if among[some].sum() >= FEWEST:
+            found[row] = np.median(values[some][among[some]])
+    return found

@@ -6,6 +6,7 @@ its own. The ground truth is not used.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -52,8 +53,7 @@ class Drive:
     turns: CompassTurns
 
 
-@dataclass(frozen=True)
-class _Node:
+class _Node(NamedTuple):
     observation: int
     turn_image: int
     reading: int
@@ -70,9 +70,9 @@ def read_drive(recording: Recording, curvature: float = 0.0) -> Drive:
         curvature: Of what the robot drives for straight, to the left [1 / m].
     """
     turns = measure_turns(recording) if turns_with_images(recording) else measure_wheel_turns(recording)
-    nodes = list(_list_nodes(recording, turns, curvature))
-    columns = np.array([[one.observation, one.turn_image, one.reading] for one in nodes]).T
-    return Drive(columns[0], columns[1], columns[2], [one.motion for one in nodes], turns)
+    nodes = _list_nodes(recording, turns, curvature)
+    observation, turn_image, reading, motions = zip(*nodes, strict=True)
+    return Drive(np.array(observation), np.array(turn_image), np.array(reading), list(motions), turns)
 
 
 def mend_wheels(recording: Recording) -> tuple[Recording, float]:
@@ -164,23 +164,15 @@ def _add_segment(
 def _add_turn(
     nodes: list[_Node], recording: Recording, turns: CompassTurns, row: int, reading: int, number: int | None
 ) -> Motion | None:
-    """Add the images beside the turn after a segment.
+    """Add the images beside turn ``row``; what motion is left to the next segment's first ``reading``, None: unknown.
 
-    Args:
-        nodes: To which they are added.
-        recording: The recording.
-        turns: All turns.
-        row: Number of this one.
-        reading: First reading after it.
-        number: Its number among the recording's turns, if it ends at the image from before it and no segment without a
-            way is between; None: it does not.
-
-    Returns:
-        The motion that is left to the beginning of the next segment; None: nothing is known of it.
+    ``number`` is that of the recording's turn which ends at the image from before it, with no segment without a way
+    between; None: there is none.
     """
     if turns.angle_std[row] >= UNKNOWN_RAD or turns.jump_std[row] >= UNKNOWN_M:
         return None
-    jump, turn = _split(turns, row)
+    jump = make_motion(*turns.jump[row].tolist(), step_std_m=float(turns.jump_std[row]))
+    turn = make_motion(0.0, turn_rad=float(turns.angle[row]), turn_std_rad=float(turns.angle_std[row]))
     if number is None or recording.turns is None:
         return compose(jump, turn)
     place = int(recording.turns.before[number])
@@ -190,14 +182,6 @@ def _add_turn(
         return turn
     nodes.append(_Node(NO_IMAGE, image, reading, turn))
     return STILL
-
-
-def _split(turns: CompassTurns, row: int) -> tuple[Motion, Motion]:
-    """The way to the next segment and the turn there, one after the other."""
-    way, std = turns.jump[row], float(turns.jump_std[row])
-    return make_motion(*way.tolist(), step_std_m=std), make_motion(
-        0.0, turn_rad=float(turns.angle[row]), turn_std_rad=float(turns.angle_std[row])
-    )
 
 
 def drive_straight(wheels_m: np.ndarray, variance: float, curvature: float = 0.0) -> Motion:

@@ -97,12 +97,13 @@ def advance(state: State, motion: Motion | None, fix: Fix | None) -> State:
         motion: How the robot moved since; None: nothing is known of it, as before the first image.
         fix: What the image says; None: there is none.
     """
-    state = replace(begin(), trail=break_off(state.trail)) if motion is None else predict(state, motion)
-    return state if fix is None or not fix.usable else see(state, fix)
+    return see(predict(state, motion), fix)
 
 
-def predict(state: State, motion: Motion) -> State:
-    """The state after a motion."""
+def predict(state: State, motion: Motion | None) -> State:
+    """The state after a motion; None: nothing is known of it."""
+    if motion is None:
+        return replace(begin(), trail=break_off(state.trail))
     mean, covariance = move(state.mean, state.covariance, motion)
     scale = float(mean[state.evidence.argmax(), 3]) if len(mean) else 0.0
     return replace(
@@ -115,15 +116,20 @@ def predict(state: State, motion: Motion) -> State:
     )
 
 
-def see(state: State, fix: Fix) -> State:
-    """The state after an image."""
+def see(state: State, fix: Fix | None) -> State:
+    """The state after an image; None, or one that is not usable: the same."""
+    if fix is None or not fix.usable:
+        return state
     trail = add_image(state.trail, fix)
     fix = replace(fix, position_std=fix.position_std * find_factor(trail) * (1.0 if fix.accepted else REFUSED))
     moved, counts = state.moved_m / SHARED_M, min(1.0, state.moved_m / EVIDENCE_M)
-    updated = update(state.mean, state.covariance, _weaken(fix, moved, moved + state.turned_rad / SHARED_RAD))
+    own_place, own_yaw = np.sqrt(np.clip([moved, moved + state.turned_rad / SHARED_RAD], 1e-6, 1.0)).tolist()
+    weak = replace(fix, position_std=fix.position_std / own_place, yaw_std=fix.yaw_std / own_yaw)
+    updated = update(state.mean, state.covariance, weak)
     evidence = state.evidence + counts * np.minimum(updated.likelihood, MOST_EVIDENCE)
-    if not fix.accepted:
-        evidence = _hold_back(state.evidence, evidence)
+    if not fix.accepted:  # what was certain does not rise, and nothing becomes so
+        certain = state.evidence > MOST_BY_REFUSED
+        evidence = np.where(certain, np.minimum(evidence, state.evidence), limit(evidence, ~certain))
     state = State(updated.mean, updated.covariance, evidence, trail, 0.0, 0.0)
     return _keep_best(_add_new(state, fix))
 
@@ -153,22 +159,10 @@ def weigh(state: State) -> np.ndarray:
     return likelihood / (likelihood.sum() + np.exp(-highest))
 
 
-def _weaken(fix: Fix, moved: float, turned: float) -> Fix:
-    """The image with larger errors where it shares them with the last one, by parts of its own."""
-    place, yaw = (np.sqrt(np.clip(part, 1e-6, 1.0)) for part in (moved, turned))
-    return replace(fix, position_std=fix.position_std / place, yaw_std=fix.yaw_std / yaw)
-
-
 def limit(evidence: np.ndarray, unsure: np.ndarray) -> np.ndarray:
     """Evidence (K,), where ``unsure`` (K,) lowered alike, so that none of it exceeds ``MOST_BY_REFUSED``."""
     excess = max(float(evidence[unsure].max(initial=0.0)) - MOST_BY_REFUSED, 0.0)
     return evidence - np.where(unsure, excess, 0.0)
-
-
-def _hold_back(before: np.ndarray, evidence: np.ndarray) -> np.ndarray:
-    """Evidence (K,) after an image that its method refuses: what was certain does not rise, and nothing becomes so."""
-    certain = before > MOST_BY_REFUSED
-    return np.where(certain, np.minimum(evidence, before), limit(evidence, ~certain))
 
 
 def _add_new(state: State, fix: Fix) -> State:
@@ -226,32 +220,27 @@ def run_forward(motions: Sequence[Motion | None], fixes: Sequence[Fix | None]) -
         motions: Motion to each image from the one before (M,); None: nothing is known of it. The first is not used.
         fixes: What each image says (M,); None: nothing.
     """
-    states, state = [], begin()
-    for motion, fix in zip([None, *motions[1:]], fixes, strict=True):
-        state = advance(state, motion, fix)
-        states.append(state)
-    return states
+    return [after for _, after in _run(motions[1:], fixes)]
 
 
 def run_backward(motions: Sequence[Motion | None], fixes: Sequence[Fix | None]) -> list[State]:
     """The state at each of M images by those after it alone; arguments as of ``run_forward``."""
-    states, state = [], begin()
-    for motion, fix in zip([None, *reversed(motions[1:])], reversed(fixes), strict=True):
-        state = advance(state, motion and invert(motion), None)
-        states.append(state)
-        if fix is not None and fix.usable:
-            state = see(state, fix)
-    return states[::-1]
+    back = [motion and invert(motion) for motion in reversed(motions[1:])]
+    return [before for before, _ in _run(back, fixes[::-1])][::-1]
+
+
+def _run(motions: Sequence[Motion | None], fixes: Sequence[Fix | None]) -> list[tuple[State, State]]:
+    """The states before and after each of M images with M - 1 motions between them."""
+    states, after = [], begin()
+    for motion, fix in zip([None, *motions], fixes, strict=True):
+        before = predict(after, motion)
+        after = see(before, fix)
+        states.append((before, after))
+    return states
 
 
 def smooth(causal: Sequence[State], motions: Sequence[Motion | None], fixes: Sequence[Fix | None]) -> list[State]:
-    """The state at each of M images by all of them.
-
-    Args:
-        causal: The states by the images until then, of ``run_forward``.
-        motions: As for ``run_forward``.
-        fixes: As for ``run_forward``.
-    """
+    """The state at each of M images by all of them, given those by the images until then; else as ``run_forward``."""
     return [fuse(*both) for both in zip(causal, run_backward(motions, fixes), strict=True)]
 
 

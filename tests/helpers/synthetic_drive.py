@@ -43,6 +43,13 @@ def make_drive(rng: np.random.Generator, images: int = 150, noise: float = 1.0, 
     return Drive(np.array(pose), motions, [see(one) for one in seen])
 
 
+def carry(drive: Drive) -> Drive:
+    """The drive of a robot that was carried from its 80th image to its 131st, without its odometry noticing."""
+    parts = (slice(80), slice(130, None))
+    path = np.concatenate([drive.pose[part] for part in parts])
+    return Drive(path, *([*known[parts[0]], *known[parts[1]]] for known in (drive.motions, drive.fixes)))
+
+
 def advance(pose: np.ndarray, motion: np.ndarray) -> np.ndarray:
     """The pose after a motion, forward, left and turn, both (3,)."""
     cos, sin = np.cos(pose[2]), np.sin(pose[2])

@@ -28,8 +28,7 @@ from deepgps.reports.targets import Figure, share_of, write
 from deepgps.runs.run_folder import open_run
 from deepgps.studies.reports.changes import group_changes
 from deepgps.studies.table import LEVELS, Row, split_by
-from deepgps.tracking.causes import Causes, make_monitor
-from deepgps.tracking.rules import TITLES
+from deepgps.tracking.causes import TITLES, Causes, make_monitor
 from sim.errors import InputError
 from sim.files.checksums import read_arrays
 from sim.recording.format import Recording, open_recording

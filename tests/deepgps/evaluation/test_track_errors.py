@@ -1,4 +1,4 @@
-"""ATE and RPE of our own code are those of evo."""
+"""Paths in the TUM format are read by evo, whose ATE and RPE are those of our own code."""
 
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from evo.core.units import Unit
 from evo.tools import file_interface
 
 from deepgps.evaluation.track_run import measure_ate, measure_rpe
-from deepgps.tracking.track import write_tum
+from deepgps.tracking.track import is_tum, write_tum
 
 
 @pytest.fixture(scope="module")
@@ -69,3 +69,17 @@ def test_a_pose_without_a_yaw_is_left_out_of_relative_errors():
     blind[7, 2] = np.nan
     assert measure_rpe(blind, true, 3) == pytest.approx(measure_rpe(found, true, 3), rel=0.1)
     assert np.isnan(measure_rpe(np.full_like(true, np.nan), true, 3)).all()
+
+
+def test_evo_reads_what_was_written(tmp_path: Path):
+    rng = np.random.default_rng(0)
+    time, pose = np.arange(20) * 0.1 + 1.7e9, rng.uniform(-3.0, 3.0, (20, 3))
+    pose[4] = np.nan
+    write_tum(tmp_path / "path.tum", time, pose)
+    one, kept = file_interface.read_tum_trajectory_file(tmp_path / "path.tum"), np.isfinite(pose).all(axis=1)
+    assert np.allclose(one.timestamps, time[kept])
+    assert np.allclose(one.positions_xyz[:, :2], pose[kept, :2], atol=1e-8)
+    assert np.allclose(one.get_orientations_euler()[:, 2], pose[kept, 2], atol=1e-8)
+    assert is_tum((tmp_path / "path.tum").read_bytes()) and not is_tum(b"0 0 0 0 0 0 0 1\n")
+    write_tum(tmp_path / "path.tum", np.arange(3.0), np.ones((3, 2)))
+    assert (tmp_path / "path.tum").read_text().splitlines()[1] == "0.000000 1 1 0 0 0 0 1", "no yaw: along x"

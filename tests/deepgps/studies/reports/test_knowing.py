@@ -22,7 +22,7 @@ from deepgps.studies.reports.knowing import (
 )
 from deepgps.studies.study import load_study
 from deepgps.studies.table import Row
-from deepgps.tracking.rules import TITLES
+from deepgps.tracking.causes import TITLES
 from sim.errors import InputError
 from sim.files.checksums import write_json
 from sim.recording.format import Recording, open_recording, open_truth
