@@ -26,7 +26,7 @@ class ViewArguments:
     plugin: Plugins = ()
     """Files of plugins, whose methods then have their titles and colours."""
     screenshot: Path | None = None
-    """Write a picture of the first tab as PNG instead of opening a window; needs Chromium, a display or xvfb-run."""
+    """Write a picture of the first tab as PNG instead of opening a window; needs a Vulkan driver, but no display."""
 
 
 def view_command(words: Sequence[str]) -> None:
@@ -46,12 +46,9 @@ def view_command(words: Sequence[str]) -> None:
         if len(folders) == 2 or not is_study(folder):
             open_run(folder)
     # These import Rerun and torch, which takes longer than checking the folders.
-    from deepgps.viewer.window.show import view
-    from deepgps.viewer.window.web import choose_ports, serve
+    from deepgps.viewer.show import choose_ports, is_screenshot, serve, view, write_screenshot
 
     if arguments.screenshot is not None:
-        from deepgps.viewer.window.screenshot import is_screenshot, write_screenshot
-
         check_overwrite(arguments.screenshot, is_screenshot)
         write_screenshot(folders, arguments.screenshot)
         say(f"wrote {arguments.screenshot}")

@@ -15,8 +15,8 @@ import rerun as rr
 
 from deepgps.config.scenario import Scenario
 from deepgps.terminal.progress import Look, Report
+from deepgps.viewer.connect import ANSWER_S, find_url, knock, open_viewer
 from deepgps.viewer.live_view import LiveView
-from deepgps.viewer.window.connect import ANSWER_S, find_url, knock, open_viewer
 from sim.errors import InputError, one_line
 
 APPLICATION = "deepgps live"  # not that of recordings, whose blueprint it would replace

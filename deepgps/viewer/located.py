@@ -9,12 +9,12 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
+from deepgps.viewer.connect import find_url, knock, open_viewer
 from deepgps.viewer.error_field import draw_circles
 from deepgps.viewer.live import GONE
 from deepgps.viewer.pictures import enlarge
 from deepgps.viewer.scene import LAYER_M, lift, log_room
 from deepgps.viewer.views import aim_eye, arrange, room_view
-from deepgps.viewer.window.connect import find_url, knock, open_viewer
 from sim.errors import InputError, one_line
 from sim.geometry import FreeSpace
 from sim.recording.format import has_truth, open_truth

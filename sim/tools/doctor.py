@@ -17,6 +17,7 @@ from sim.processes import usable_cores
 from sim.sensors.camera.gl import EGL_FIX
 
 NVIDIA_FIX = "install NVIDIA's EGL library (Debian: libegl-nvidia0; in a container: NVIDIA_DRIVER_CAPABILITIES=all)"
+VULKAN_FIX = "apt-get install mesa-vulkan-drivers"
 LEAST_FREE_GB = 1.0  # the demo writes about 0.3 GB
 
 _DRAW = """
@@ -54,6 +55,7 @@ def check_all(runs: Path = Path("runs")) -> list[Check]:
         *check_packages(),
         *check_extras(),
         check_renderer(),
+        check_vulkan(),
         check_machine(),
         check_folder(runs),
         check_disk(runs),
@@ -153,6 +155,12 @@ def judge_renderer(backend: str, renderer: str, nvidia: bool = Path("/dev/nvidia
     if any(name in renderer for name in ("llvmpipe", "softpipe", "swrast")):
         text += f" (in software, though an NVIDIA GPU is here: {NVIDIA_FIX})" if nvidia else " (in software)"
     return Check("renderer", True, text)
+
+
+def check_vulkan(folders: Iterable[Path] = (Path("/usr/share/vulkan"), Path("/etc/vulkan"))) -> Check:
+    """Report the Vulkan drivers of this machine, which pictures of the viewer need, and nothing else."""
+    drivers = sorted(path.stem for folder in folders for path in folder.glob("icd.d/*.json"))
+    return Check("vulkan", True, ", ".join(drivers) or f"no driver; for deepgps view --screenshot: {VULKAN_FIX}")
 
 
 def check_machine() -> Check:

@@ -3,20 +3,15 @@
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
-import rerun_cli
-
-from deepgps.viewer.window.connect import HOST, find_free_port, wait_for_port
+from deepgps.viewer.connect import HOST, find_free_port, find_viewer, wait_for_port
 
 
 @contextmanager
 def serve_grpc(*words: str) -> Iterator[tuple[str, subprocess.Popen]]:
     """Address and process of ``rerun`` with these words; ended when left."""
-    # The command rerun is a script that starts this one, and would leave it behind.
-    viewer = Path(rerun_cli.__file__).parent / "rerun"
     port = find_free_port()
-    command = [str(viewer), *words, "--bind", HOST, "--port", str(port)]
+    command = [find_viewer(), *words, "--bind", HOST, "--port", str(port)]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as server:
         try:
             wait_for_port(port, server)

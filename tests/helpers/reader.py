@@ -30,7 +30,7 @@ TESTED_ELSEWHERE = {
     "deepgps locate runs/mine drive.mcap --config robot.yaml --track": ("tests/deepgps/robot_io/test_log_source.py"),
     "deepgps study change": "tests/deepgps/studies/reports/test_change.py",
     "deepgps study seeds --engine ray": "tests/deepgps/studies/engine/test_ray_cluster.py",
-    "deepgps view runs/first --screenshot first.png": "tests/deepgps/viewer/window/test_web.py",
+    "deepgps view runs/first --screenshot first.png": "tests/deepgps/viewer/test_show.py",
 }
 MADE_EARLIER: dict[str, tuple[str, ...]] = {
     "runs/first": ("run", "tiny", "--out", "runs/first"),

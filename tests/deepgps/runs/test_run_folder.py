@@ -227,7 +227,7 @@ def test_every_byte_of_a_user_s_survives_every_command(
     monkeypatch.setattr("deepgps.run.collect", stop)
     monkeypatch.setattr("deepgps.studies.engine.engine.carry_out", stop)
     monkeypatch.setattr("sim.tools.gallery.draw_gallery", stop)
-    monkeypatch.setattr("deepgps.viewer.window.show.view", stop)
+    monkeypatch.setattr("deepgps.viewer.show.view", stop)
     monkeypatch.chdir(home)
     with suppress(SystemExit):
         main(words)

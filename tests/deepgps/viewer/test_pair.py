@@ -12,10 +12,10 @@ import rerun as rr
 from rerun.chunk import RrdReader
 
 from deepgps.config.scenario import Scenario, write_out
+from deepgps.viewer.connect import find_viewer
 from deepgps.viewer.pair import Pair, colours_of_change, describe_pair, open_pair, scale_change, write_pair
 from deepgps.viewer.read import read_entity, read_error_table
-from deepgps.viewer.window.connect import find_viewer
-from deepgps.viewer.window.show import view
+from deepgps.viewer.show import view
 from sim.errors import InputError
 from sim.files.checksums import sha256, write_lines
 from tests.helpers.blueprints import find_missing

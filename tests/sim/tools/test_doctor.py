@@ -19,6 +19,7 @@ from sim.tools.doctor import (
     check_packages,
     check_python,
     check_renderer,
+    check_vulkan,
     judge_renderer,
 )
 
@@ -67,7 +68,7 @@ def test_all_is_well_where_the_tests_run(tmp_path):
     checks = doctor.check_all(tmp_path)
     assert lacks(checks) == []
     named = {check.name: check for check in checks}
-    assert set(named) == {"python", "packages", "extras", "renderer", "machine", "folder", "disk"}
+    assert set(named) == {"python", "packages", "extras", "renderer", "vulkan", "machine", "folder", "disk"}
     assert all("\n" not in check.text for check in checks)
     packages = named["packages"]
     for name in ("mujoco", "torch", "rerun-sdk", "numpy"):
@@ -166,7 +167,16 @@ def test_full_disk_is_told(tmp_path):
 
 def test_setup_installs_the_packages_that_the_cure_names():
     script = (ROOT / ".ci" / "setup").read_text(encoding="utf-8")
-    assert doctor.EGL_FIX.removeprefix("apt-get install ") in script
+    for fix in (doctor.EGL_FIX, doctor.VULKAN_FIX):
+        assert fix.removeprefix("apt-get install ") in script
+
+
+def test_a_missing_vulkan_driver_is_no_lack_but_has_its_cure(tmp_path):
+    check = check_vulkan([tmp_path])
+    assert check.ok and check.text.endswith(doctor.VULKAN_FIX)
+    (tmp_path / "icd.d").mkdir()
+    (tmp_path / "icd.d" / "lvp_icd.json").touch()
+    assert check_vulkan([tmp_path]).text == "lvp_icd"
 
 
 def test_command_tells_the_lack_and_fails(mask, tmp_path):

@@ -3,7 +3,6 @@
 import re
 import shutil
 import subprocess
-import sys
 from itertools import pairwise
 from pathlib import Path
 
@@ -18,6 +17,7 @@ from scipy.spatial.distance import pdist
 from deepgps.config.methods import title_of
 from deepgps.evaluation.error_field import read_all_headings, read_fields, split_by_acceptance
 from deepgps.reports.run_report import describe
+from deepgps.viewer.connect import find_viewer
 from deepgps.viewer.error_field import COVERAGE, DENSITY
 from deepgps.viewer.pictures import choose_views, write_pictures
 from deepgps.viewer.read import read_entity, read_error_field, read_error_table
@@ -25,9 +25,8 @@ from deepgps.viewer.run import drive, recording
 from deepgps.viewer.run.drive import ROBOT
 from deepgps.viewer.run.places import PICTURES, find_places, turn_picture
 from deepgps.viewer.run.recording import RECORDING, find_recording, write_run
+from deepgps.viewer.show import view
 from deepgps.viewer.timeline import DRIVE_TIME, PLACE, PROGRESS, PROGRESS_END_S, STEP
-from deepgps.viewer.window.connect import find_viewer
-from deepgps.viewer.window.show import view
 from sim.errors import InputError, WorkError
 from sim.files.checksums import read_json, write_json
 from sim.recording.format import finish_recording, read_manifest
@@ -404,7 +403,8 @@ def test_no_display_and_no_viewer_are_one_clear_line_each(run: Path, monkeypatch
     with pytest.raises(WorkError, match="without a display, copy") as caught:
         view([run])
     assert "\n" not in str(caught.value)
-    monkeypatch.setattr(sys, "executable", "/nonexistent/python")
+    monkeypatch.setenv("DISPLAY", ":99")
+    monkeypatch.setattr(rr, "__file__", "/nonexistent/rerun/__init__.py")
     monkeypatch.setenv("PATH", "/nonexistent")
     with pytest.raises(WorkError, match="the Rerun viewer is missing"):
         view([run])

@@ -1,16 +1,19 @@
-"""Connecting to a viewer: finding the address of a running one, or opening one at a free port."""
+"""The Rerun viewer's program: starting it for this machine alone, and finding one that runs."""
 
 import os
 import shutil
-import signal
 import socket
 import subprocess
 import sys
 import time
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, Literal
+from tempfile import TemporaryFile
+from typing import Literal
 from urllib.parse import urlsplit
+
+import rerun as rr
 
 from sim.errors import InputError, WorkError
 
@@ -18,14 +21,8 @@ HOST = "127.0.0.1"  # everything that listens here is for this machine alone
 ANSWER_S = 1.5
 HELLO = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes((0, 0, 0, 4, 0, 0, 0, 0, 0))
 """The opening of an HTTP/2 client: a fixed text and a settings frame, here empty. The server opens with a frame too."""
-OPENING_S = 60.0
+OPENING_S, SENDING_S = 60.0, 600.0
 NO_WINDOW = "the Rerun viewer cannot open a window; without a display, --live HOST:PORT streams to a viewer elsewhere"
-
-
-def end_group(process: subprocess.Popen[Any], how: signal.Signals = signal.SIGKILL) -> None:
-    """End a process with a group of its own, and all that it has started: ``rerun`` itself starts the viewer."""
-    with suppress(ProcessLookupError):  # all have ended
-        os.killpg(process.pid, how)
 
 
 def find_url(address: str) -> str:
@@ -63,9 +60,9 @@ def knock(url: str) -> Literal["viewer", "stranger", "nobody"]:
 
 
 def find_viewer() -> str:
-    """Path of the viewer that came with rerun-sdk, whether or not its environment is active; raises WorkError."""
-    places = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
-    viewer = shutil.which("rerun", path=places)
+    """Path of the viewer that came with rerun-sdk, or of another one; raises WorkError."""
+    own = Path(rr.__file__).parents[1] / "rerun_cli"  # the command ``rerun`` only starts this one
+    viewer = shutil.which("rerun", path=os.pathsep.join([str(own), os.environ.get("PATH", "")]))
     if viewer is None:
         raise WorkError("the Rerun viewer is missing: there is no command rerun; pip install rerun-sdk installs it")
     return viewer
@@ -75,6 +72,49 @@ def has_display() -> bool:
     """Whether a window can be opened here, as far as the environment tells; only Linux tells."""
     names = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
     return sys.platform != "linux" or any(os.environ.get(name) for name in names)
+
+
+def url_of(port: int) -> str:
+    """URL of a viewer at a port of this machine."""
+    return f"rerun+http://{HOST}:{port}/proxy"
+
+
+@contextmanager
+def start_viewer(port: int, words: Sequence[str], fix: str) -> Iterator[subprocess.Popen]:
+    """Run the viewer while this is entered.
+
+    Args:
+        port: Port of this machine at which it listens for data.
+        words: Its other options.
+        fix: What helps where it fails, for the error's line.
+
+    Raises:
+        WorkError: The viewer is missing, or has ended with an error when this is left.
+    """
+    command = [find_viewer(), "--bind", HOST, "--port", str(port), *words]
+    quiet = {**os.environ, "RUST_LOG": "error", "NO_COLOR": "1"}
+    with TemporaryFile("w+", errors="replace") as said:
+        viewer = subprocess.Popen(command, stdout=said, stderr=said, env=quiet, start_new_session=True)
+        try:
+            yield viewer
+            failed = viewer.poll() not in {None, 0}
+        finally:
+            viewer.terminate()
+            viewer.wait()
+        if failed:
+            said.seek(0)
+            lines = [line.strip() for line in said if line.strip()] or ["no reason given"]
+            reason = next((line for line in lines if "Error" in line or "panicked" in line), lines[-1])
+            raise WorkError(f"the Rerun viewer exited with code {viewer.returncode} ({reason}); {fix}")
+
+
+def send_file(recording: Path, url: str) -> None:
+    """Send a recording to a viewer; one that is given the file itself loads it bit by bit, or turns without end."""
+    stream = rr.RecordingStream("deepgps", send_properties=False)
+    stream.connect_grpc(url)
+    stream.log_file_from_path(recording)
+    stream.flush(timeout_sec=SENDING_S)
+    stream.disconnect()
 
 
 def open_viewer() -> str:
@@ -91,7 +131,7 @@ def open_viewer() -> str:
         viewer.wait(0.5)  # it listens before it tries to open a window
     if viewer.poll() is not None:
         raise WorkError(NO_WINDOW)
-    return f"rerun+http://{HOST}:{port}/proxy"
+    return url_of(port)
 
 
 def find_free_port() -> int:

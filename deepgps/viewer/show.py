@@ -1,0 +1,173 @@
+"""What a viewer shows of runs and studies: in a window, in a browser, or as a picture of its first tab."""
+
+import os
+import shlex
+import socket
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from io import BytesIO
+from pathlib import Path
+from subprocess import Popen
+from tempfile import TemporaryDirectory
+from urllib.parse import quote
+
+import numpy as np
+from PIL import Image
+from PIL.PngImagePlugin import PngInfo
+from rerun.experimental import ViewerClient
+
+from deepgps.reports.plots import COLOURS
+from deepgps.runs.run_folder import is_study
+from deepgps.viewer.connect import HOST, find_free_port, has_display, send_file, start_viewer, url_of, wait_for_port
+from deepgps.viewer.pair import CHANGE, write_pair
+from deepgps.viewer.run.recording import find_recording, lacks_truth
+from deepgps.viewer.study.study import find_study
+from sim.errors import InputError, WorkError
+from sim.files.atomic import write_bytes
+
+SIZE_PX = "1600x1000"
+MARK = ("Software", "deepgps view --screenshot")
+DRIVER = "--screenshot needs a Vulkan driver, such as Mesa's: apt-get install mesa-vulkan-drivers"
+PATIENCE_S, LOOK_S = 600.0, 0.5
+SHOWN = 0.6
+"""Share of a colour scale that a picture shows once its error field is drawn."""
+
+
+def view(paths: Sequence[Path]) -> None:
+    """Open a run or a study, or two runs side by side, in the Rerun viewer and wait until it is closed.
+
+    Args:
+        paths: As in ``find_shown``.
+
+    Raises:
+        InputError: As in ``find_shown``.
+        WorkError: The viewer is missing or cannot open a window.
+    """
+    recording = find_shown(paths)
+    fix = (
+        f"without a display, copy {recording} to a machine that has one, or run: "
+        f"deepgps view {shlex.join(map(str, paths))} --web"
+    )
+    if not has_display():
+        raise WorkError(f"the Rerun viewer cannot open a window; {fix}")
+    # At the port of another viewer, it would hand over the recording without opening a window.
+    with start_viewer(find_free_port(), [str(recording)], fix) as viewer:
+        viewer.wait()
+
+
+def serve(paths: Sequence[Path], ports: tuple[int, int], say: Callable[[str], None]) -> None:
+    """Serve a run, a study or two runs to a browser until this process is interrupted, by Ctrl-C or by SIGTERM.
+
+    Args:
+        paths: As in ``find_shown``.
+        ports: Ports of the page and of its data.
+        say: Called with the address once it can be opened.
+
+    Raises:
+        InputError: As in ``find_shown``.
+        WorkError: The viewer is missing or cannot serve.
+    """
+    page, data = ports
+    recording, words = find_shown(paths), ["--serve-web", "--web-viewer-port", str(page)]
+    with start_viewer(data, words, "deepgps view without --web opens a window") as viewer:
+        for port in ports:
+            wait_for_port(port, viewer)
+        if viewer.poll() is None:
+            send_file(recording, url_of(data))
+            say(f"open http://{HOST}:{page}/?url={quote(url_of(data), safe='')}\npress Ctrl-C to stop")
+            viewer.wait()
+
+
+def write_screenshot(paths: Sequence[Path], out: Path) -> None:
+    """Write a picture of the first tab of what shows these folders, once its error field is drawn.
+
+    Args:
+        paths: As in ``find_shown``.
+        out: The PNG to write.
+
+    Raises:
+        InputError: As in ``find_shown``, or a run has no truth.
+        WorkError: The viewer is missing, has no Vulkan driver, or draws no error field in time.
+    """
+    for folder in paths:
+        if not is_study(folder) and lacks_truth(folder):
+            raise InputError(f"{folder}: its recording has no truth, so there is no error field to take a picture of")
+    recording, port = find_shown(paths), find_free_port()
+    words = ["--headless", "--hide-welcome-screen", "--window-size", SIZE_PX]
+    with start_viewer(port, words, DRIVER) as viewer, TemporaryDirectory(prefix="deepgps-") as folder:
+        wait_for_port(port, viewer)
+        send_file(recording, url_of(port))
+        picture = _take_when_drawn(viewer, url_of(port), Path(folder) / "screenshot.png")
+    if picture is not None:
+        mark, buffer = PngInfo(), BytesIO()
+        mark.add_text(*MARK)
+        picture.save(buffer, "png", pnginfo=mark)
+        write_bytes(out, buffer.getvalue())
+
+
+def is_screenshot(data: bytes) -> bool:
+    """Whether these are the contents of a picture that ``write_screenshot`` wrote."""
+    return data.startswith(b"\x89PNG") and "\0".join(MARK).encode() in data[:500]
+
+
+def find_shown(paths: Sequence[Path]) -> Path:
+    """Return the recording that shows these folders; write it if it is missing.
+
+    Args:
+        paths: The folder of one run or of one study, or the folders of two runs, which share one recording.
+
+    Raises:
+        InputError: A folder is neither a run nor a finished study, its recording is truncated, or two runs cannot be
+            compared.
+    """
+    if len(paths) != 1:
+        return write_pair(paths)
+    return find_study(paths[0]) if is_study(paths[0]) else find_recording(paths[0])
+
+
+def choose_ports(page: int | None) -> tuple[int, int]:
+    """Ports of the page and of its data: ``page`` and the next port, or free ones; raises InputError."""
+    if page is None:
+        return find_free_port(), find_free_port()
+    if not 1 <= page <= 65534:
+        raise InputError(f"--port {page}: must be between 1 and 65534, since the next port serves the data")
+    for port in (page, page + 1):
+        try:
+            socket.create_server((HOST, port)).close()
+        except OSError as error:
+            reason = os.strerror(error.errno or 0)
+            raise InputError(
+                f"--port {page}: port {port} is not available ({reason}); without --port, a free one is chosen"
+            ) from None
+    return page, page + 1
+
+
+def shows_scale(picture: np.ndarray) -> bool:
+    """Whether a picture (rows, columns, 3) has most colours of the scale of errors, or of that of their changes."""
+    there = {tuple(colour) for colour in np.unique(picture.reshape(-1, 3) // 8, axis=0)}
+    for colours in (COLOURS, CHANGE):
+        wanted = (255 * colours(np.linspace(0, 1, 40))[:, :3]).astype(int) // 8
+        if np.mean([tuple(colour) in there for colour in wanted]) > SHOWN:
+            return True
+    return False
+
+
+def _take_when_drawn(viewer: Popen, url: str, path: Path) -> Image.Image | None:
+    """Take a viewer's pictures until one shows a colour scale and is the same as the one before; None if it has ended.
+
+    A picture that takes longer than Rerun's client waits is there a little later.
+    """
+    end, client, before = time.monotonic() + PATIENCE_S, ViewerClient.connect(url), b""
+    while viewer.poll() is None:
+        with suppress(RuntimeError, OSError):
+            client.save_screenshot(str(path))
+        with suppress(OSError):
+            picture = Image.open(path).convert("RGB")
+            if picture.tobytes() == before and shows_scale(np.asarray(picture)):
+                return picture
+            before = picture.tobytes()
+        if time.monotonic() > end:
+            raise WorkError(f"the Rerun viewer drew no error field within {PATIENCE_S:.0f} s")
+        time.sleep(LOOK_S)
+    return None
