@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, make_dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, get_origin
 
 import tyro
 
@@ -89,8 +89,9 @@ def _split(words: Sequence[str], own_options: Sequence[str]) -> tuple[list[str],
             raise InputError(f"{flag} needs a value")
         else:
             plain = [None if value.lower() in {"none", "null"} else value for value in values]
-            overrides[name] = plain if name == "methods" else plain[0]
-            if len(plain) > 1 and name != "methods":
+            several = get_origin(kind) is tuple
+            overrides[name] = plain if several else plain[0]
+            if len(plain) > 1 and not several:
                 raise InputError(f"{flag} takes one value, not {' '.join(values)}")
         flag, equals, value = word.partition("=")
         values = [value] if equals else []

@@ -1,6 +1,6 @@
 """Settings of the robot: its body, wheel encoders and sensors, their faults, and what changes in deployment."""
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, SerializerFunctionWrapHandler, field_validator, model_serializer, model_validator
 
@@ -97,6 +97,9 @@ class LidarSettings(Group):
     """Standard deviation of each distance [m]."""
 
 
+Coefficient = Annotated[float, Field(ge=-0.5, le=0.5)]
+
+
 class CameraSettings(Group):
     """The upward fisheye camera."""
 
@@ -104,14 +107,8 @@ class CameraSettings(Group):
     """Height of the lens above the floor [m]."""
     field_of_view_deg: float = Field(default=190.0, ge=60.0, le=190.0)
     """Full angle of the image cone about the zenith [deg]."""
-    k1: float = Field(default=0.0, ge=-0.5, le=0.5)
-    """Kannala-Brandt coefficient of theta^3; all four zero is the equidistant lens."""
-    k2: float = Field(default=0.0, ge=-0.5, le=0.5)
-    """Kannala-Brandt coefficient of theta^5."""
-    k3: float = Field(default=0.0, ge=-0.5, le=0.5)
-    """Kannala-Brandt coefficient of theta^7."""
-    k4: float = Field(default=0.0, ge=-0.5, le=0.5)
-    """Kannala-Brandt coefficient of theta^9."""
+    distortion: tuple[Coefficient, Coefficient, Coefficient, Coefficient] = (0.0, 0.0, 0.0, 0.0)
+    """Kannala-Brandt coefficients k1 to k4, of theta^3 to theta^9; all zero is the equidistant lens."""
     rings: int = Field(default=32, ge=4, le=256)
     """Rows of the polar image, from zenith to rim."""
     sectors: int = Field(default=128, ge=8, le=1024)

@@ -68,11 +68,11 @@ def distort(theta: np.ndarray, k: Sequence[float]) -> np.ndarray:
 def make_lens(camera: CameraSettings) -> Lens:
     """Make the lens of the settings; raises InputError if its radius stops growing before the rim."""
     half_angle = np.radians(camera.field_of_view_deg) / 2
-    k = (camera.k1, camera.k2, camera.k3, camera.k4)
+    k = camera.distortion
     turning = _first_turning_angle(k)
     if turning <= half_angle:
         raise InputError(
-            f"camera.k1 to k4 {k}: the image radius must grow with the angle from the zenith up to "
+            f"camera.distortion {k}: the image radius must grow with the angle from the zenith up to "
             f"{np.degrees(half_angle):g} deg (half of camera.field_of_view_deg), and stops growing at "
             f"{np.degrees(turning):.1f} deg"
         )

@@ -18,7 +18,7 @@ from sim.sensors.camera.lens import make_lens, project_polar, project_round
 from sim.settings import CameraSettings
 from tests.helpers.synthetic_run import TICKS_PER_REV, WHEEL_RADIUS_M, make_free_space, write_synthetic_run
 
-CAMERA = CameraSettings(rings=32, sectors=128, k1=0.02)
+CAMERA = CameraSettings(rings=32, sectors=128, distortion=(0.02, 0.0, 0.0, 0.0))
 SIZE = 129
 
 

@@ -22,7 +22,7 @@ LEAN = np.array([0.05, -0.03])
     ("camera", "mount", "lean"),
     [
         (CameraSettings(), CameraMountSettings(), None),
-        (CameraSettings(field_of_view_deg=160, k1=-0.05, k2=0.01), CameraMountSettings(), None),
+        (CameraSettings(field_of_view_deg=160, distortion=(-0.05, 0.01, 0.0, 0.0)), CameraMountSettings(), None),
         (CameraSettings(), CameraMountSettings(centre_px=12, ahead_m=0.05), LEAN),
     ],
     ids=["plain", "another lens", "a faulty mount"],
@@ -48,7 +48,7 @@ def test_unwrapping_a_picture_gives_the_polar_image_of_the_same_state(camera, mo
 
 
 def test_the_calibration_gives_the_radius_of_each_angle():
-    lens = make_lens(CameraSettings(k1=0.05, k2=-0.01, k3=0.002, k4=-0.0001))
+    lens = make_lens(CameraSettings(distortion=(0.05, -0.01, 0.002, -0.0001)))
     theta = np.linspace(0, lens.half_angle, 50)
     k1, k2, k3, k4 = lens.k
     by_opencv = lens.focal_length(ROWS / 2) * (theta + k1 * theta**3 + k2 * theta**5 + k3 * theta**7 + k4 * theta**9)
@@ -57,7 +57,7 @@ def test_the_calibration_gives_the_radius_of_each_angle():
 
 def test_opencv_projects_as_the_camera_info_says():
     """A point to the front is above the middle of the picture, one to the robot's left is at its right."""
-    lens = make_lens(CameraSettings(k1=0.05))
+    lens = make_lens(CameraSettings(distortion=(0.05, 0.0, 0.0, 0.0)))
     focal_px = lens.focal_length(ROWS / 2)
     matrix = np.array([[focal_px, 0, (COLUMNS - 1) / 2], [0, focal_px, (ROWS - 1) / 2], [0, 0, 1]])
     turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # of /tf_static: 90 degrees about z

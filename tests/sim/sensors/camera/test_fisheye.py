@@ -113,7 +113,7 @@ def find_hits(model: mujoco.MjModel, data: mujoco.MjData, rays: np.ndarray) -> n
     "camera",
     [
         CAMERA,
-        CameraSettings(k1=0.05, k2=-0.01, rings=48, sectors=200),
+        CameraSettings(distortion=(0.05, -0.01, 0.0, 0.0), rings=48, sectors=200),
         CameraSettings(field_of_view_deg=80),
         CameraSettings(field_of_view_deg=120, face_px=77),
     ],

@@ -94,7 +94,12 @@ def test_the_round_picture_has_forward_at_the_top_and_left_at_the_right() -> Non
     assert np.isnan(rays[0, 0]).all()
 
 
+FOLDING = (-1 / 3, 0.0, 0.0, 0.0)
+
+
 def test_a_lens_whose_radius_stops_growing_is_refused() -> None:
-    with pytest.raises(InputError, match=r"camera\.k1 to k4 .*up to 95 deg.*stops growing at 57\.3 deg"):
-        make_lens(CameraSettings(k1=-1 / 3))
-    assert make_lens(CameraSettings(k1=-1 / 3, field_of_view_deg=110)).half_angle == pytest.approx(np.radians(55))
+    with pytest.raises(InputError, match=r"camera\.distortion .*up to 95 deg.*stops growing at 57\.3 deg"):
+        make_lens(CameraSettings(distortion=FOLDING))
+    assert make_lens(CameraSettings(distortion=FOLDING, field_of_view_deg=110)).half_angle == pytest.approx(
+        np.radians(55)
+    )

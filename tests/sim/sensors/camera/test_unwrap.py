@@ -20,7 +20,7 @@ MIDDLE = ((ROUND_PX - 1) / 2, (ROUND_PX - 1) / 2)
 @pytest.fixture(scope="module", params=[0.0, -0.05], ids=["equidistant", "kannala-brandt"])
 def views(request: pytest.FixtureRequest) -> list[tuple[np.ndarray, np.ndarray]]:
     """Round and polar renderings of the same camera at a few places of a furnished room."""
-    camera = CameraSettings(rings=32, sectors=128, face_px=256, k1=request.param)
+    camera = CameraSettings(rings=32, sectors=128, face_px=256, distortion=(request.param, 0.0, 0.0, 0.0))
     world = RoomWorld(SimSettings(room=RoomSettings(kind="bedroom", width_m=3.2, depth_m=2.8), camera=camera))
     rng = np.random.default_rng(0)
     cells = np.argwhere(world.free_space.reachable)
