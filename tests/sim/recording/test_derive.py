@@ -7,46 +7,26 @@ import pytest
 
 from sim.errors import InputError
 from sim.planar.drive import collect as collect_plane
-from sim.recording import chunks
-from sim.recording import collect as collecting
 from sim.recording.collect import collect
-from sim.recording.derive import OF_IMAGES, can_be_cut, choose_drive, derive
-from sim.recording.format import check_recording, read_manifest
-from sim.settings import (
-    CameraMountSettings,
-    DriveSettings,
-    EncoderSettings,
-    GridSettings,
-    ImageFaultSettings,
-    LandmarksSettings,
-    SimSettings,
-)
+from sim.recording.derive import can_be_cut, choose_drive, derive
+from sim.recording.format import check_recording
+from sim.settings import DriveSettings, GridSettings, LandmarksSettings, SimSettings
+from tests.helpers.recordings import change, quiet, read_what_must_agree, small_chunks
 
-FAULTY = EncoderSettings(
-    ticks_per_rev=128,
-    radius_error_left=0.02,
-    radius_error_right=-0.01,
-    track_error=0.03,
-    slip_per_m=0.01,
-    step_noise=0.1,
-    dropout=0.2,
-)
+FAULTY = {
+    **{"ticks_per_rev": 128, "radius_error_left": 0.02, "radius_error_right": -0.01, "track_error": 0.03},
+    **{"slip_per_m": 0.01, "step_noise": 0.1, "dropout": 0.2},
+}
 PLANE = SimSettings(
     world="landmarks",
     landmarks=LandmarksSettings(count=20, segments=12),
     drive=DriveSettings(spacing_m=0.05, samples=400),
     grid=GridSettings(spacing_m=0.25, headings=2),
 )
-COLLECT = {"room": collect, "landmarks": collect_plane}
 
 
-def quiet(label: str, done: int, total: int) -> None:
-    pass
-
-
-def change(settings: SimSettings, samples: int, encoder: EncoderSettings) -> SimSettings:
-    drive = settings.drive.model_copy(update={"samples": samples})
-    return settings.model_copy(update={"drive": drive, "encoder": encoder})
+def drive(settings: SimSettings, samples: int, **encoder: float) -> SimSettings:
+    return change(settings, drive={"samples": samples}, encoder=encoder)
 
 
 @pytest.fixture(scope="module")
@@ -59,77 +39,55 @@ def plane(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def room(small_settings: SimSettings, tmp_path_factory: pytest.TempPathFactory) -> tuple[SimSettings, Path]:
     """Settings and recording of a drive in a room, whose chunks are small while these tests run."""
-    settings = change(small_settings, 90, EncoderSettings())
-    settings = settings.model_copy(update={"grid": GridSettings(spacing_m=0.6, headings=2)})
+    settings = change(small_settings, drive={"samples": 90}, grid={"spacing_m": 0.6, "headings": 2})
     folder = tmp_path_factory.mktemp("room") / "base"
     collect(settings, 0, folder, quiet, workers=1)
     return settings, folder
 
 
 @pytest.fixture(autouse=True, scope="module")
-def small_chunks() -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(collecting, "CHUNK", 32)
-        patch.setattr(chunks, "CHUNK", 32)
+def drawn_here() -> Iterator[None]:
+    with small_chunks():
         yield
 
 
-def read_what_must_agree(folder: Path) -> dict:
-    """The manifest without what tells of the making."""
-    manifest = read_manifest(folder).model_dump()
-    making = {"collect_s", "derived_from", "samples_dropped", "times_relocated", "renderer_deaths", *OF_IMAGES}
-    return {name: value for name, value in manifest.items() if name not in making}
+def assert_derived_is_as_collected(base: Path, settings: SimSettings, folder: Path) -> None:
+    (collect_plane if settings.world == "landmarks" else collect)(settings, 0, folder / "collected", quiet)
+    derive(base, settings, 0, folder / "derived")
+    assert read_what_must_agree(folder / "derived") == read_what_must_agree(folder / "collected")
+    check_recording(folder / "derived")
 
 
 @pytest.mark.parametrize("samples", [64, 128, 400])
-@pytest.mark.parametrize("encoder", [EncoderSettings(), FAULTY], ids=["sound", "faulty"])
-def test_derived_is_as_collected_in_the_plane(samples: int, encoder: EncoderSettings, plane: Path, tmp_path: Path):
-    settings = change(PLANE, samples, encoder)
-    collect_plane(settings, 0, tmp_path / "collected", quiet)
-    derive(plane, settings, 0, tmp_path / "derived")
-    assert read_what_must_agree(tmp_path / "derived") == read_what_must_agree(tmp_path / "collected")
-    check_recording(tmp_path / "derived")
+def test_derived_is_as_collected_in_the_plane(samples: int, plane: Path, tmp_path: Path):
+    assert_derived_is_as_collected(plane, drive(PLANE, samples), tmp_path / "sound")
+    assert_derived_is_as_collected(plane, drive(PLANE, samples, **FAULTY), tmp_path / "faulty")
 
 
-DARK = ImageFaultSettings(exposure=0.5, vignetting=0.3, read_noise=0.1, shot_noise=0.1, turn_deg=8.0)
+@pytest.mark.slow  # quick: test_use
+@pytest.mark.parametrize(("samples", "faults"), [(20, {}), (70, FAULTY)])
+def test_derived_is_as_collected_in_a_room(samples: int, faults: dict, room: tuple[SimSettings, Path], tmp_path: Path):
+    """Of one and of several chunks, cut in the middle of a segment."""
+    assert_derived_is_as_collected(room[1], drive(room[0], samples, **faults), tmp_path)
 
 
-@pytest.mark.slow
+@pytest.mark.slow  # quick: test_use
 @pytest.mark.parametrize("samples", [70, 90])
-def test_faults_of_images_are_derived_as_they_are_collected(
-    samples: int, room: tuple[SimSettings, Path], tmp_path: Path
-):
-    drawn, base = room
-    settings = change(drawn, samples, FAULTY).model_copy(update={"image_faults": DARK})
-    collect(settings, 0, tmp_path / "collected", quiet, workers=1)
-    derive(base, settings, 0, tmp_path / "derived")
-    assert read_what_must_agree(tmp_path / "derived") == read_what_must_agree(tmp_path / "collected")
-    check_recording(tmp_path / "derived")
-    sound, faulty = (read_manifest(folder).sha256 for folder in (base, tmp_path / "derived"))
+def test_faults_of_images_are_derived_as_they_are_collected(samples: int, room, tmp_path: Path):
+    dark = {"exposure": 0.5, "vignetting": 0.3, "read_noise": 0.1, "shot_noise": 0.1, "turn_deg": 8.0}
+    settings, base = change(drive(room[0], samples, **FAULTY), image_faults=dark), room[1]
+    assert_derived_is_as_collected(base, settings, tmp_path)
+    sound, faulty = (read_what_must_agree(folder)["sha256"] for folder in (base, tmp_path / "derived"))
     assert all(sound[name] != faulty[name] for name in ("observations/fisheye.npy", "test/fisheye.npy"))
     with pytest.raises(InputError, match="has faults in its images, which cannot be taken away"):
-        derive(tmp_path / "derived", change(settings, 20, FAULTY), 0, tmp_path / "again")
+        derive(tmp_path / "derived", drive(settings, 20, **FAULTY), 0, tmp_path / "again")
     with pytest.raises(InputError, match="only encoder"):
-        leaning = settings.model_copy(update={"camera_mount": CameraMountSettings(roll_deg=1.0)})
-        derive(base, leaning, 0, tmp_path / "again")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("samples", "encoder"), [(20, EncoderSettings()), (70, FAULTY)])
-def test_derived_is_as_collected_in_a_room(
-    samples: int, encoder: EncoderSettings, room: tuple[SimSettings, Path], tmp_path: Path
-):
-    """Of one and of several chunks, cut in the middle of a segment."""
-    settings, base = change(room[0], samples, encoder), room[1]
-    collect(settings, 0, tmp_path / "collected", quiet, workers=1)
-    derive(base, settings, 0, tmp_path / "derived")
-    assert read_what_must_agree(tmp_path / "derived") == read_what_must_agree(tmp_path / "collected")
-    check_recording(tmp_path / "derived")
+        derive(base, change(settings, camera_mount={"roll_deg": 1.0}), 0, tmp_path / "again")
 
 
 def test_what_is_the_same_takes_no_room_and_outlives_the_other(plane: Path, tmp_path: Path):
     collect_plane(choose_drive(PLANE, 400), 0, tmp_path / "base", quiet)
-    derive(tmp_path / "base", change(PLANE, 400, FAULTY), 0, tmp_path / "derived")
+    derive(tmp_path / "base", drive(PLANE, 400, **FAULTY), 0, tmp_path / "derived")
     for name in ("observations/landmarks.npy", "test/landmarks.npy", "truth/pose.npy"):
         assert (tmp_path / "base" / name).samefile(tmp_path / "derived" / name)
     for path in sorted((tmp_path / "base").rglob("*.np?")):
@@ -138,7 +96,7 @@ def test_what_is_the_same_takes_no_room_and_outlives_the_other(plane: Path, tmp_
 
 
 def test_what_a_killed_process_left_is_replaced_and_what_stands_stays(plane: Path, tmp_path: Path):
-    settings, folder = change(PLANE, 64, FAULTY), tmp_path / "derived"
+    settings, folder = drive(PLANE, 64, **FAULTY), tmp_path / "derived"
     (folder / "truth").mkdir(parents=True)
     (folder / "observations").mkdir()
     (folder / "observations" / "landmarks.npy").write_bytes(b"half")
@@ -149,33 +107,30 @@ def test_what_a_killed_process_left_is_replaced_and_what_stands_stays(plane: Pat
     assert (folder / "manifest.json").stat().st_mtime_ns == written
 
 
-@pytest.mark.parametrize(
-    ("changes", "seed", "message"),
-    [
-        ({"landmarks": LandmarksSettings(count=21, segments=12)}, 0, "is a recording of another drive: only"),
+def test_what_does_not_fit_is_refused(plane: Path, tmp_path: Path):
+    for changes, seed, message in (
+        ({"landmarks": {"count": 21}}, 0, "is a recording of another drive: only"),
         ({}, 1, "is a recording of another drive"),
-        ({"drive": DriveSettings(spacing_m=0.05, samples=401)}, 0, "has 400 samples, too few for drive.samples 401"),
-    ],
-)
-def test_what_does_not_fit_is_refused(changes: dict, seed: int, message: str, plane: Path, tmp_path: Path):
-    with pytest.raises(InputError, match=message):
-        derive(plane, PLANE.model_copy(update=changes), seed, tmp_path / "derived")
-    assert not (tmp_path / "derived").exists()
+        ({"drive": {"samples": 401}}, 0, "has 400 samples, too few for drive.samples 401"),
+    ):
+        with pytest.raises(InputError, match=message):
+            derive(plane, change(PLANE, **changes), seed, tmp_path / "derived")
+        assert not (tmp_path / "derived").exists()
 
 
 def test_a_recording_with_losses_is_no_base(tmp_path: Path):
-    collect_plane(change(PLANE, 400, FAULTY), 0, tmp_path / "base", quiet)
+    collect_plane(drive(PLANE, 400, **FAULTY), 0, tmp_path / "base", quiet)
     with pytest.raises(InputError, match="has lost readings, whose times are not known"):
         derive(tmp_path / "base", PLANE, 0, tmp_path / "derived")
 
 
 def test_a_drive_whose_tests_follow_it_is_shared_at_its_own_length_alone(tmp_path: Path):
-    for name, field, value in (("grid", "held_out", 10), ("tag_camera", "mounted", True), ("lidar", "noise_m", 0.01)):
-        group = getattr(PLANE, name).model_copy(update={field: value})
-        assert not can_be_cut(PLANE.model_copy(update={name: group}))
-    noisy = PLANE.model_copy(update={"lidar": PLANE.lidar.model_copy(update={"noise_m": 0.01})})
+    noisy = change(PLANE, lidar={"noise_m": 0.01})
+    held_out = SimSettings(grid=GridSettings(held_out=10))
+    tags = SimSettings.model_validate({"room": {"kind": "lab"}, "tag_camera": {"mounted": True}})
+    assert can_be_cut(PLANE) and not any(map(can_be_cut, (noisy, held_out, tags)))
     collect_plane(choose_drive(noisy, 400), 0, tmp_path / "base", quiet)
     with pytest.raises(InputError, match="has 400 samples, of which 64 are no recording of their own"):
-        derive(tmp_path / "base", change(noisy, 64, FAULTY), 0, tmp_path / "derived")
-    derive(tmp_path / "base", change(noisy, 400, FAULTY), 0, tmp_path / "derived")
+        derive(tmp_path / "base", drive(noisy, 64, **FAULTY), 0, tmp_path / "derived")
+    derive(tmp_path / "base", drive(noisy, 400, **FAULTY), 0, tmp_path / "derived")
     check_recording(tmp_path / "derived")

@@ -36,6 +36,17 @@ def always_differ(part: Part, beat: Beat) -> None:
     raise UnsteadyError(f"{part.path}: image 0 of 1 was drawn twice and came out different")
 
 
+def die_and_differ_once(part: Part, beat: Beat) -> None:
+    """Crash on one part and err on another, the first time each is drawn."""
+    once = part.path.with_name(f"once-{part.path.name}")
+    if part.path.name in {"1", "3"} and not once.exists():
+        once.touch()
+        if part.path.name == "1":
+            os.abort()
+        raise UnsteadyError(f"{part.path}: image 0 of 1 was drawn twice and came out different")
+    part.path.write_text(f"differed {part.differed}")
+
+
 def fill_disk(part: Part, beat: Beat) -> None:
     raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(part.path))
 
@@ -68,6 +79,14 @@ def test_every_part_is_drawn_once(small_settings, tmp_path):
     workers = draw_all(write_name, small_settings, tmp_path, 7)
     assert (workers.drawn, workers.deaths) == (7, 0)
     assert sorted(path.read_text() for path in tmp_path.iterdir()) == [str(number) for number in range(7)]
+
+
+def test_a_worker_that_dies_or_errs_once_is_replaced_and_every_part_is_drawn(small_settings, tmp_path, caplog):
+    workers = draw_all(die_and_differ_once, small_settings, tmp_path)
+    assert (workers.drawn, workers.deaths) == (5, 1)
+    differed = [int((tmp_path / f"{number}").read_text()[-1]) for number in range(5)]
+    assert differed == [0, 0, 0, 1, 0]
+    assert "a rendering process died" in caplog.text and "the file is drawn again" in caplog.text
 
 
 def test_a_large_part_is_given_without_waiting_for_the_one_that_is_drawn(small_settings, tmp_path):

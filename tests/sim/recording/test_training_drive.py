@@ -1,5 +1,6 @@
 """A recording that differs only in deployment or test grid shares the training drive of another, to the byte."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -9,32 +10,21 @@ from sim.errors import InputError
 from sim.files.checksums import FORMAT, write_json
 from sim.recording import collect as collecting
 from sim.recording.collect import collect
-from sim.recording.derive import OF_IMAGES, explain_misfit, has_same_training_drive
+from sim.recording.derive import explain_misfit, has_same_training_drive
 from sim.recording.format import check_recording, open_recording, read_manifest
 from sim.settings import SimSettings
-
-MAKING = {"collect_s", "derived_from", "renderer_deaths", "sha256", *OF_IMAGES}
-
-
-def quiet(label: str, done: int, total: int) -> None:
-    pass
+from tests.helpers.recordings import change, quiet, read_files, read_what_must_agree, small_chunks
 
 
-def change(settings: SimSettings, **groups: dict) -> SimSettings:
-    """The settings with some fields of some groups changed."""
-    values = settings.model_dump()
-    return SimSettings.model_validate(values | {name: values[name] | group for name, group in groups.items()})
-
-
-def read_files(folder: Path) -> dict[str, bytes]:
-    """All files but those of the manifests, which tell of the making."""
-    found = (path for path in sorted(folder.rglob("*")) if path.is_file() and path.name != "manifest.json")
-    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in found}
+@pytest.fixture(autouse=True, scope="module")
+def drawn_here() -> Iterator[None]:
+    with small_chunks():
+        yield
 
 
 @pytest.fixture(scope="module")
 def plain(small_settings: SimSettings) -> SimSettings:
-    return change(small_settings, drive={"samples": 50}, grid={"spacing_m": 0.8, "headings": 1})
+    return change(small_settings, drive={"samples": 20}, grid={"spacing_m": 0.8, "headings": 1})
 
 
 @pytest.fixture(scope="module")
@@ -60,11 +50,10 @@ def test_the_shared_drive_has_the_bytes_of_one_of_its_own(groups, plain, base, t
     driven, drive_chunk = [], collecting.drive_chunk
     monkeypatch.setattr(collecting, "drive_chunk", lambda *args: driven.append(args[1]) or drive_chunk(*args))
     collect(settings, 0, tmp_path / "shared", quiet, workers=1, base=base)
-    assert not any(one.drive.samples == 50 for one in driven), "only the drive in use is driven"
+    assert not any(one.drive.samples == 20 for one in driven), "only the drive in use is driven"
     check_recording(tmp_path / "shared")
     assert read_files(tmp_path / "shared") == read_files(tmp_path / "alone")
-    alone, shared = (read_manifest(tmp_path / name).model_dump(exclude=MAKING) for name in ("alone", "shared"))
-    assert shared == alone
+    assert read_what_must_agree(tmp_path / "shared") == read_what_must_agree(tmp_path / "alone")
     pose = "truth/pose.npy"
     assert (tmp_path / "shared" / pose).stat().st_ino == (base / pose).stat().st_ino
     assert (read_manifest(tmp_path / "shared").model_extra or {})["derived_from"] == base.parent.name
@@ -80,39 +69,29 @@ def test_only_what_is_drawn_needs_space_and_renderers(plain, base, tmp_path, mon
     assert spaces == [2 * tests.nbytes]  # in a part, and in the recording
 
 
-@pytest.mark.parametrize(
-    "groups",
-    [
+def test_another_training_drive_seed_or_world_is_not_shared(plain, base):
+    assert has_same_training_drive(base, plain, 0)
+    assert not has_same_training_drive(base, plain, 1)
+    assert not has_same_training_drive(base, plain.model_copy(update={"world": "landmarks"}), 0)
+    for groups in (
         {"encoder": {"step_noise": 0.1}},
         {"drive": {"samples": 40}},
         {"camera_mount": {"roll_deg": 1.0}},
         {"image_faults": {"exposure": 0.5}},
         {"grid": {"held_out": 5}},
-    ],
-    ids=lambda groups: next(iter(groups)),
-)
-def test_another_training_drive_is_not_shared(groups, plain, base):
-    assert not has_same_training_drive(base, change(plain, **groups), 0)
+    ):
+        assert not has_same_training_drive(base, change(plain, **groups), 0), groups
 
 
-def test_another_seed_or_world_is_not_shared(plain, base):
-    assert has_same_training_drive(base, plain, 0)
-    assert not has_same_training_drive(base, plain, 1)
-    assert not has_same_training_drive(base, plain.model_copy(update={"world": "landmarks"}), 0)
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
+def test_settings_that_cannot_be_used_are_one_clear_line(plain, tmp_path):
+    for settings, message in (
         ({"drive": {"samples": "many"}}, "manifest: settings.drive.samples cannot be used"),
         ({"world": "landmarks", "grid": {"held_out": 5}}, "manifest: settings cannot be used: .* needs world room"),
-    ],
-)
-def test_settings_that_cannot_be_used_are_one_clear_line(settings, message, plain, tmp_path):
-    write_json(tmp_path / "manifest.json", {"format": FORMAT, "seed": 0, "settings": settings})
-    for compare in (has_same_training_drive, explain_misfit):
-        with pytest.raises(InputError, match=message):
-            compare(tmp_path, plain, 0)
+    ):
+        write_json(tmp_path / "manifest.json", {"format": FORMAT, "seed": 0, "settings": settings})
+        for compare in (has_same_training_drive, explain_misfit):
+            with pytest.raises(InputError, match=message):
+                compare(tmp_path, plain, 0)
 
 
 def test_cut_off_it_continues_to_the_same_bytes(plain, base, tmp_path, monkeypatch):

@@ -11,8 +11,9 @@ from sim.recording.collect import collect
 from sim.recording.derive import choose_drive, derive
 from sim.recording.format import check_recording, open_recording, open_truth, read_manifest
 from sim.recording.turns import KINDS, NO_IMAGE, cut_turns, from_array, list_turns, lose_turns
-from sim.settings import DriveSettings, EncoderSettings, GridSettings, LidarSettings, SimSettings
+from sim.settings import DriveSettings, GridSettings, LidarSettings, SimSettings
 from tests.conftest import SMALL
+from tests.helpers.recordings import change, quiet, small_chunks
 
 MAP = SimSettings(
     world="obstacles",
@@ -20,35 +21,30 @@ MAP = SimSettings(
     drive=DriveSettings(samples=400),
     grid=GridSettings(spacing_m=0.5, headings=2),
 )
-COLLECT = {"room": collect, "obstacles": collect_plane}
-
-
-def quiet(label: str, done: int, total: int) -> None:
-    pass
-
-
-def change(settings: SimSettings, group: str, **values: object) -> SimSettings:
-    return settings.model_copy(update={group: getattr(settings, group).model_copy(update=values)})
+EXACT = change(MAP, lidar={"noise_m": 0.0})
 
 
 @pytest.mark.parametrize(
     "settings",
-    [MAP, pytest.param(change(SMALL, "drive", samples=120), marks=pytest.mark.slow)],
+    [
+        MAP,
+        pytest.param(change(SMALL, drive={"samples": 120}, image_faults={"read_noise": 0.1}), marks=pytest.mark.slow),
+    ],
     ids=["obstacles", "room"],
 )
 def test_all_other_files_are_the_same_with_and_without_turn_images(settings: SimSettings, tmp_path: Path):
-    settings = change(settings, "image_faults", read_noise=0.1) if settings.world == "room" else settings
     sums = []
     for taken in (True, False):
-        folder = tmp_path / str(taken)
-        COLLECT[settings.world](change(settings, "drive", turn_images=taken), 3, folder, quiet)
+        folder, driven = tmp_path / str(taken), change(settings, drive={"turn_images": taken})
+        with small_chunks():
+            (collect if settings.world == "room" else collect_plane)(driven, 3, folder, quiet)
         sums.append(dict(read_manifest(folder).sha256))
     new = {"turns.npy", next(name for name in sums[0] if name.endswith("_turn.npy"))}
     assert {name: sums[0].pop(name) for name in new} and sums[0] == sums[1]
 
 
 def test_turn_images_show_the_place_of_the_turn_under_the_next_segment_s_heading(tmp_path: Path):
-    collect_plane(change(MAP, "lidar", noise_m=0.0), 0, tmp_path, quiet)
+    collect_plane(EXACT, 0, tmp_path, quiet)
     recording, truth = open_recording(tmp_path), open_truth(tmp_path)
     turns = recording.turns
     assert turns is not None and recording.turn_observation is not None
@@ -109,9 +105,7 @@ def test_lost_readings_leave_the_turns_between_segments_of_which_a_reading_arriv
 
 @pytest.mark.parametrize("samples", [100, 400])
 def test_deriving_carries_the_turns(samples: int, tmp_path: Path):
-    encoder = EncoderSettings(dropout=0.6, slip_per_m=0.01)
-    settings = change(change(MAP, "lidar", noise_m=0.0), "drive", samples=samples)
-    settings = settings.model_copy(update={"encoder": encoder})
+    settings = change(EXACT, drive={"samples": samples}, encoder={"dropout": 0.6, "slip_per_m": 0.01})
     collect_plane(choose_drive(settings, 400), 0, tmp_path / "base", quiet)
     collect_plane(settings, 0, tmp_path / "collected", quiet)
     derive(tmp_path / "base", settings, 0, tmp_path / "derived")

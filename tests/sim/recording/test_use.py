@@ -1,16 +1,16 @@
-"""The drive in use: a recording of its own inside that of the training drive, which stays as it was."""
+"""The drive in use: a recording of its own inside that of the training drive, which stays as it was; changing light."""
 
-from collections.abc import Callable
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from sim.errors import DamagedError, InputError
-from sim.recording import chunks
 from sim.recording import collect as collecting
 from sim.recording.collect import collect
-from sim.recording.derive import OF_IMAGES, derive, explain_misfit
+from sim.recording.derive import derive, explain_misfit
 from sim.recording.format import (
     OF_USE,
     check_recording,
@@ -21,82 +21,46 @@ from sim.recording.format import (
     remove_recording,
     work_folder,
 )
-from sim.recording.manifest import choose_drive_in_use, seed_in_use
-from sim.settings import (
-    CameraMountSettings,
-    DeploymentMountSettings,
-    DeploymentSettings,
-    DriveSettings,
-    EncoderSettings,
-    GridSettings,
-    ImageFaultSettings,
-    SimSettings,
-)
+from sim.recording.manifest import STATES, choose_drive_in_use, light_part, seed_in_use
+from sim.settings import CameraMountSettings, DeploymentSettings, DriveSettings, GridSettings, SimSettings
+from tests.helpers.recordings import change, quiet, read_files, read_what_must_agree, small_chunks
 
-SAMPLES, IN_USE = 50, 40
-FAULTY = EncoderSettings(ticks_per_rev=128, step_noise=0.1, dropout=0.2)
-NOISY = ImageFaultSettings(exposure=0.5, read_noise=0.1)
-MAKING = {"collect_s", "derived_from", "samples_dropped", "times_relocated", "renderer_deaths", *OF_IMAGES}
-Make = Callable[..., tuple[SimSettings, Path]]
-
-
-def quiet(label: str, done: int, total: int) -> None:
-    pass
-
-
-def change(settings: SimSettings, **deployment: object) -> SimSettings:
-    return settings.model_copy(update={"deployment": DeploymentSettings.model_validate(deployment)})
-
-
-def read_arrays(folder: Path) -> dict[str, bytes]:
-    """All files but the manifests, by their paths in the recording."""
-    return {
-        path.relative_to(folder).as_posix(): path.read_bytes()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file() and path.name != "manifest.json"
-    }
+SAMPLES, IN_USE = 26, 20
+IMAGES = {"test/fisheye.npy", "use/observations/fisheye.npy", "use/observations/fisheye_turn.npy"}
+Sound = tuple[SimSettings, Path]
 
 
 def leave_out_use(files: dict[str, bytes]) -> dict[str, bytes]:
     return {name: data for name, data in files.items() if not name.startswith("use/")}
 
 
-def read_what_must_agree(folder: Path) -> dict:
-    """The manifest without what tells of the making."""
-    manifest = {name: value for name, value in read_manifest(folder).model_dump().items() if name not in MAKING}
-    manifest["sha256"].pop(OF_USE, None)  # which tells of the making, too
-    return manifest
-
-
 @pytest.fixture(autouse=True, scope="module")
-def small_chunks() -> object:
-    """Chunks so small that each drive has two."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(collecting, "CHUNK", 32)
-        patch.setattr(chunks, "CHUNK", 32)
+def drawn_here() -> Iterator[None]:
+    with small_chunks(16):
         yield
 
 
 @pytest.fixture(scope="module")
 def plain(small_settings: SimSettings) -> SimSettings:
     drive = DriveSettings(samples=SAMPLES, longest_m=0.5)  # so that each drive has two chunks
-    return small_settings.model_copy(update={"drive": drive, "grid": GridSettings(spacing_m=0.8, headings=1)})
+    return change(small_settings, drive=drive, grid=GridSettings(spacing_m=0.8, headings=1))
 
 
 @pytest.fixture(scope="module")
-def sound(plain: SimSettings, tmp_path_factory: pytest.TempPathFactory) -> tuple[SimSettings, Path]:
+def sound(plain: SimSettings, tmp_path_factory: pytest.TempPathFactory) -> Sound:
     """Settings and recording with a drive in use and no change between training and use."""
-    settings, folder = change(plain, drive_samples=IN_USE), tmp_path_factory.mktemp("sound") / "recording"
+    settings = change(plain, deployment={"drive_samples": IN_USE})
+    folder = tmp_path_factory.mktemp("sound") / "recording"
     collect(settings, 0, folder, quiet, workers=1)
     return settings, folder
 
 
-@pytest.mark.slow
+@pytest.mark.slow  # quick: derived without a drive in use
 def test_the_training_drive_is_the_same_with_and_without_a_drive_in_use(plain, sound, tmp_path):
     stages = dict.fromkeys(["drive", "render"])
     collect(plain, 0, tmp_path / "plain", lambda stage, *_: stages.pop(stage, None), workers=1)
     assert stages == {}
-    assert leave_out_use(read_arrays(sound[1])) == read_arrays(tmp_path / "plain")
+    assert leave_out_use(read_files(sound[1])) == read_files(tmp_path / "plain")
     assert not is_whole(tmp_path / "plain" / "use")
 
 
@@ -122,11 +86,9 @@ def test_the_drive_in_use_is_a_recording_of_its_own(sound):
 def test_it_is_the_recording_that_its_own_settings_and_seed_make(sound, tmp_path):
     """Nothing but settings and seed determines it, as long as the room is that of training."""
     settings, folder = sound
-    own = choose_drive_in_use(settings)
-    collect(own, seed_in_use(0), tmp_path / "own", quiet, workers=1)
-    unlike = {"test/fisheye.npy", "truth/test_pose.npy"}
-    alone, inner = read_arrays(tmp_path / "own"), read_arrays(folder / "use")
-    assert {name for name in alone if alone[name] != inner[name]} == unlike
+    collect(choose_drive_in_use(settings), seed_in_use(0), tmp_path / "own", quiet, workers=1)
+    alone, inner = read_files(tmp_path / "own"), read_files(folder / "use")
+    assert {name for name in alone if alone[name] != inner[name]} == {"test/fisheye.npy", "truth/test_pose.npy"}
 
 
 def test_damage_in_it_is_found(sound, tmp_path):
@@ -139,49 +101,48 @@ def test_damage_in_it_is_found(sound, tmp_path):
         check_recording(tmp_path / "copy")
 
 
-def test_less_light_in_use_darkens_it_and_no_training_image(plain, sound, tmp_path):
-    settings = change(plain, drive_samples=IN_USE, light=0.2)
-    collect(settings, 0, tmp_path / "dark", quiet, workers=1)
-    dark, light = read_arrays(tmp_path / "dark"), read_arrays(sound[1])
+def test_less_light_and_a_lean_in_use_change_its_images_and_no_training_image(plain, sound, tmp_path):
+    changes = {"drive_samples": IN_USE, "light": 0.2, "camera_mount": {"roll_deg": 5.0}}
+    collect(change(plain, deployment=changes), 0, tmp_path / "dark", quiet, workers=1)
+    dark, light = read_files(tmp_path / "dark"), read_files(sound[1])
     differ = {name for name in light if dark[name] != light[name]}
-    images = {"test/fisheye.npy", "use/observations/fisheye.npy", "use/observations/fisheye_turn.npy"}
     scenes = {name for name in differ if name.endswith("scene.glb")}
-    assert differ - scenes == images and scenes <= {"use/scene.glb"}
+    assert differ - scenes == IMAGES and scenes <= {"use/scene.glb"}
     seen, before = (open_recording(folder / "use").observation for folder in (tmp_path / "dark", sound[1]))
     assert (seen.mean(axis=(1, 2, 3)) < 0.7 * before.mean(axis=(1, 2, 3))).all()
 
 
+@pytest.mark.slow  # quick: the same with less light
 def test_a_camera_that_leans_in_use_leans_in_tests_and_in_the_drive_in_use_alone(plain, sound, tmp_path):
-    settings = change(plain, drive_samples=IN_USE, camera_mount={"roll_deg": 5.0})
+    settings = change(plain, deployment={"drive_samples": IN_USE, "camera_mount": {"roll_deg": 5.0}})
     collect(settings, 0, tmp_path / "leaning", quiet, workers=1)
-    leaning, level = read_arrays(tmp_path / "leaning"), read_arrays(sound[1])
-    images = {"test/fisheye.npy", "use/observations/fisheye.npy", "use/observations/fisheye_turn.npy"}
-    assert {name for name in level if leaning[name] != level[name]} == images
+    leaning, level = read_files(tmp_path / "leaning"), read_files(sound[1])
+    assert {name for name in level if leaning[name] != level[name]} == IMAGES
 
 
 def test_what_the_mount_leaves_open_is_as_in_training(plain):
-    trained = plain.model_copy(update={"camera_mount": CameraMountSettings(roll_deg=1.0, pitch_deg=2.0)})
-    change_to = DeploymentSettings(camera_mount=DeploymentMountSettings(pitch_deg=0.0), light=0.5, drive_samples=20)
-    used = choose_drive_in_use(trained.model_copy(update={"deployment": change_to}))
+    changes = {"camera_mount": {"pitch_deg": 0.0}, "light": 0.5, "drive_samples": 20}
+    used = choose_drive_in_use(change(plain, camera_mount={"roll_deg": 1.0, "pitch_deg": 2.0}, deployment=changes))
     assert used.camera_mount == CameraMountSettings(roll_deg=1.0, pitch_deg=0.0)
     assert used.deployment == DeploymentSettings(light=0.5)
     assert used.drive.samples == 20
 
 
-@pytest.mark.parametrize(("samples", "in_use"), [(SAMPLES, IN_USE), (20, 33)], ids=["whole", "shorter"])
+@pytest.mark.parametrize(
+    ("samples", "in_use"), [(17, 18), pytest.param(SAMPLES, IN_USE, marks=pytest.mark.slow)], ids=["shorter", "whole"]
+)
 def test_derived_is_as_collected(samples: int, in_use: int, sound, tmp_path):
-    settings = sound[0].model_copy(
-        update={
-            "drive": sound[0].drive.model_copy(update={"samples": samples}),
-            "encoder": FAULTY,
-            "image_faults": NOISY,
-            "deployment": DeploymentSettings(drive_samples=in_use),
-        }
+    settings = change(
+        sound[0],
+        drive={"samples": samples},
+        encoder={"ticks_per_rev": 128, "step_noise": 0.1, "dropout": 0.2},
+        image_faults={"exposure": 0.5, "read_noise": 0.1},
+        deployment={"drive_samples": in_use},
     )
     collect(settings, 0, tmp_path / "collected", quiet, workers=1)
     derive(sound[1], settings, 0, tmp_path / "derived")
     check_recording(tmp_path / "derived")
-    assert read_arrays(tmp_path / "derived") == read_arrays(tmp_path / "collected")
+    assert read_files(tmp_path / "derived") == read_files(tmp_path / "collected")
     for part in (".", "use"):
         one, other = (read_what_must_agree(tmp_path / name / part) for name in ("derived", "collected"))
         assert one == other
@@ -192,25 +153,23 @@ def test_derived_is_as_collected(samples: int, in_use: int, sound, tmp_path):
 
 def test_without_a_drive_in_use_none_is_derived(plain, sound, tmp_path):
     derive(sound[1], plain, 0, tmp_path / "derived")
-    assert read_arrays(tmp_path / "derived") == leave_out_use(read_arrays(sound[1]))
+    assert read_files(tmp_path / "derived") == leave_out_use(read_files(sound[1]))
     assert OF_USE not in read_manifest(tmp_path / "derived").sha256
-    with pytest.raises(InputError, match=r"has no drive in use, and deployment\.drive_samples is 40"):
+    with pytest.raises(InputError, match=r"has no drive in use, and deployment\.drive_samples is 20"):
         derive(tmp_path / "derived", sound[0], 0, tmp_path / "again")
 
 
-@pytest.mark.parametrize(
-    ("deployment", "message"),
-    [
-        ({"drive_samples": 41}, "has a drive in use that has 40 samples, too few for deployment.drive_samples 41"),
-        ({"drive_samples": IN_USE, "light": 0.5}, "is a recording of another drive"),
-        ({"drive_samples": IN_USE, "camera_mount": {"roll_deg": 1.0}}, "is a recording of another drive"),
-    ],
-)
-def test_what_does_not_fit_is_no_base(deployment, message, plain, sound):
-    assert message in (explain_misfit(sound[1], change(plain, **deployment), 0) or "")
+def test_what_does_not_fit_is_no_base(plain, sound):
+    another = "is a recording of another drive"
+    for deployment, message in (
+        ({"drive_samples": 21}, "has a drive in use that has 20 samples, too few for deployment.drive_samples 21"),
+        ({"drive_samples": IN_USE, "light": 0.5}, another),
+        ({"drive_samples": IN_USE, "camera_mount": {"roll_deg": 1.0}}, another),
+    ):
+        assert message in (explain_misfit(sound[1], change(plain, deployment=deployment), 0) or "")
 
 
-@pytest.mark.slow
+@pytest.mark.slow  # quick: test_collect's cut off
 @pytest.mark.parametrize("chunk", [2, 4], ids=["in use", "in training"])
 def test_cut_off_anywhere_it_continues_to_the_same_bytes(chunk: int, sound, tmp_path, monkeypatch):
     """Stopped before a second chunk: of the drive in use, or of the training drive."""
@@ -239,7 +198,7 @@ def test_cut_off_anywhere_it_continues_to_the_same_bytes(chunk: int, sound, tmp_
     assert driven[0] == made, "what was made is kept"
     assert len(driven) == {2: 3, 4: 1}[chunk]
     assert stages == {"drive", "render"} | ({"drive in use", "render in use"} if chunk == 2 else set())
-    assert read_arrays(folder) == read_arrays(sound[1])
+    assert read_files(folder) == read_files(sound[1])
     assert not work_folder(folder).exists()
 
 
@@ -256,11 +215,37 @@ def test_removing_takes_our_files_and_leaves_others(sound, tmp_path):
 
 
 def test_a_lidar_has_a_drive_in_use_beside_held_out_tests(plain, tmp_path):
-    settings = SimSettings.model_validate(
-        plain.model_dump() | {"sensor": "lidar", "grid": {"held_out": 5}, "deployment": {"drive_samples": 20}}
+    settings = change(
+        plain, sensor="lidar", drive={"samples": 16}, grid={"held_out": 5}, deployment={"drive_samples": 16}
     )
     collect(settings, 0, tmp_path / "lidar", quiet, workers=1)
     check_recording(tmp_path / "lidar")
     assert open_truth(tmp_path / "lidar").test_pose.shape == (5, 1, 3)
     recording = open_recording(tmp_path / "lidar" / "use")
-    assert len(recording.observation) == 20 and recording.test_observation.shape[:2] == (0, 1)
+    assert len(recording.observation) == 16 and recording.test_observation.shape[:2] == (0, 1)
+
+
+@pytest.mark.slow  # quick: light takes turns
+def test_the_same_drive_is_seen_in_changing_light(small_settings, tmp_path):
+    plain = change(small_settings, drive={"samples": 60, "longest_m": 0.5}, grid={"spacing_m": 1.0, "headings": 1})
+    with small_chunks(16):
+        collect(plain, 0, tmp_path / "plain", quiet, workers=1)
+        collect(change(plain, drive={"mixed_light": True}), 0, tmp_path / "mixed", quiet, workers=1)
+    steady, changing = open_recording(tmp_path / "plain"), open_recording(tmp_path / "mixed")
+    assert np.array_equal(steady.reading, changing.reading)
+    same = (steady.observation == changing.observation).all(axis=(1, 2, 3))
+    assert same[:16].all() and 0.1 < same.mean() < 0.6
+    assert np.array_equal(steady.test_observation, changing.test_observation)  # tests are in the light of use
+
+
+def test_light_takes_turns_in_a_room_with_a_camera(plain):
+    mixed = change(plain, drive={"mixed_light": True})
+    assert [light_part(mixed, number).deployment for number in range(6)] == [*STATES, *STATES[:2]]
+    assert light_part(plain, 1) is plain
+    assert not choose_drive_in_use(mixed).drive.mixed_light
+    for settings, message in (
+        ({"drive": {"mixed_light": True}}, r"drive\.mixed_light needs world room and sensor fisheye"),
+        ({"deployment": {"person": True}}, "deployment changes what a camera sees"),
+    ):
+        with pytest.raises(ValidationError, match=message):
+            SimSettings.model_validate({"sensor": "lidar", **settings})
