@@ -15,7 +15,7 @@ from deepgps.config.scenario import Scenario
 from deepgps.data.checks import check_observations
 from deepgps.data.segments import dead_reckon
 from deepgps.evaluation.error_field import ErrorField, find_rms, write_fields
-from deepgps.evaluation.in_use import adapt, find_causes, measure_in_use, open_drive_in_use
+from deepgps.evaluation.in_use import adapt, check_predicted, find_causes, measure_in_use, open_drive_in_use
 from deepgps.evaluation.map_errors import (
     add_expected,
     describe_parts,
@@ -27,13 +27,12 @@ from deepgps.evaluation.map_errors import (
     read_known_map,
 )
 from deepgps.evaluation.measures import (
-    add_yaws,
+    make_field,
     measure_coverage,
     measure_flipped,
     summarise,
     summarise_acceptance,
     summarise_yaw,
-    take_acceptance,
 )
 from deepgps.evaluation.segment_errors import describe_drive, judge_encoders
 from deepgps.evaluation.stored_alignment import write_alignment
@@ -43,7 +42,7 @@ from deepgps.positioner.positioner import CPU, Positioner
 from deepgps.positioner.stored_positioner import load_positioner, read_training
 from deepgps.terminal.progress import Report, ignore
 from sim.alignment import Alignment, fit_alignment, fit_robust_alignment
-from sim.errors import InputError, WorkError
+from sim.errors import InputError
 from sim.recording.format import (
     Labels,
     Recording,
@@ -64,15 +63,13 @@ class Predictions(NamedTuple):
 
     Attributes:
         training: Positions of the training images (N, 2) [m].
-        test: Positions of the test images (C, H, 2) [m].
-        poses: The same test images' poses (C * H).
+        poses: Poses of the test images (C * H).
         trained: The positioner as it was trained.
         positioner: The positioner of the camera in use, which took the test images.
         lean: How that camera leans, for ``metrics.json``.
     """
 
     training: np.ndarray
-    test: np.ndarray
     poses: Poses
     trained: Positioner
     positioner: Positioner
@@ -105,8 +102,7 @@ def _measure(run: Path, scenario: Scenario, progress: Report) -> dict[str, Any]:
     for number, method in enumerate(scenario.methods):
         progress("evaluate", number, len(scenario.methods))
         maps = predict(folder_of(run, method), recording, in_use, device)
-        field, alignment = measure_field(maps, method, truth)
-        fields[method] = add_yaws(field, maps.poses, alignment)
+        fields[method], alignment = measure_field(maps, method, truth)
         write_alignment(folder_of(run, method), alignment, METHODS[method].alignment)
         methods[method] = {
             **_summarise(fields[method], side_m),
@@ -159,10 +155,8 @@ def predict(
     cells, headings = recording.test_observation.shape[:2]
     images = recording.test_observation.reshape(cells * headings, *recording.test_observation.shape[2:])
     training, poses = positioner(recording.observation), find_poses(positioner_in_use, images)
-    test = poses.position
-    if wrong := int((~np.isfinite(training)).any(axis=1).sum() + (~np.isfinite(test)).any(axis=1).sum()):
-        raise WorkError(f"{folder}: for {wrong} of {len(training) + len(test)} observations it predicts no position")
-    return Predictions(training, test.reshape(cells, headings, 2), poses, positioner, positioner_in_use, lean)
+    check_predicted(folder, np.concatenate([training, poses.position]))
+    return Predictions(training, poses, positioner, positioner_in_use, lean)
 
 
 def _check_tests(recording: Recording, truth: Truth) -> None:
@@ -192,13 +186,7 @@ def measure_field(maps: Predictions, method: str, truth: Truth | Labels) -> tupl
     """
     known = np.isfinite(truth.pose).all(axis=1)
     alignment = fit_robust_alignment(maps.training[known], truth.pose[known, :2], METHODS[method].alignment)
-    predicted = alignment.apply(maps.test.reshape(-1, 2)).reshape(maps.test.shape)
-    known = np.isfinite(truth.test_pose).all(axis=(1, 2))
-    pose, predicted = truth.test_pose[known], predicted[known]
-    heading = pose[..., 2]
-    shared = heading[:1] == heading  # a drive reaches each place with a different heading
-    trust = {name: part[known] for name, part in take_acceptance(maps.poses, maps.test.shape[:2]).items()}
-    return ErrorField(pose[:, 0, :2], heading[0] if shared.all() else heading, predicted, **trust), alignment
+    return make_field(maps.poses, truth.test_pose, alignment, with_yaw=isinstance(truth, Truth)), alignment
 
 
 def measure_misplaced(places: np.ndarray, truth: Truth) -> float:

@@ -8,7 +8,7 @@ import numpy as np
 
 from deepgps.data.turns import adapt_upright, describe_lean
 from deepgps.evaluation.error_field import ErrorField
-from deepgps.evaluation.measures import add_yaws, take_acceptance
+from deepgps.evaluation.measures import make_field
 from deepgps.positioner.pose import find_poses
 from deepgps.positioner.positioner import FeaturePositioner, Positioner
 from deepgps.tracking.causes import name_causes
@@ -57,11 +57,14 @@ def measure_in_use(positioner: Positioner, alignment: Alignment, drive: Recordin
     pose, found = open_truth(drive.folder).pose, find_poses(positioner, drive.observation)
     if len(pose) != len(found.position):
         raise InputError(f"{drive.folder}: it has {len(found.position)} observations, but the truth {len(pose)} poses")
-    if wrong := int((~np.isfinite(found.position)).any(axis=1).sum()):
-        raise WorkError(f"{folder}: for {wrong} of {len(pose)} observations in use it predicts no position")
-    predicted = alignment.apply(found.position)[:, None]
-    field = ErrorField(pose[:, :2], pose[:, 2:], predicted, **take_acceptance(found, predicted.shape[:2]))
-    return add_yaws(field, found, alignment)
+    check_predicted(folder, found.position, "observations in use")
+    return make_field(found, pose[:, None], alignment)
+
+
+def check_predicted(folder: Path, position: np.ndarray, what: str = "observations") -> None:
+    """Raise WorkError where the method of a folder predicts no position of these (n, 2)."""
+    if wrong := int((~np.isfinite(position)).any(axis=1).sum()):
+        raise WorkError(f"{folder}: for {wrong} of {len(position)} {what} it predicts no position")
 
 
 def find_causes(positioner: Positioner, recording: Recording, drive: Recording) -> dict[str, Any]:

@@ -6,7 +6,6 @@ segment passes.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -166,22 +165,6 @@ def _find_cells(places: np.ndarray) -> np.ndarray:
     return np.floor(places / CELL_M).astype(np.int64)
 
 
-def add_yaws(field: ErrorField, poses: Poses, alignment: Alignment) -> ErrorField:
-    """The error field with yaws, aligned as positions are; the same field where the method estimates no yaw.
-
-    Args:
-        field: The field of a method's positions.
-        poses: Its poses of the test images (C * H), in the method's frame.
-        alignment: From the method's frame to the world's.
-    """
-    if poses.yaw is None or poses.yaw_std is None or poses.yaw_weight is None:
-        return field
-    yaw, std, weight = (
-        part.reshape(field.predicted.shape[:2]) for part in (poses.yaw, poses.yaw_std, poses.yaw_weight)
-    )
-    return replace(field, yaw=alignment.turn(yaw), yaw_std=std, yaw_weight=weight)
-
-
 def summarise_yaw(field: ErrorField) -> dict[str, float]:
     """RMS, median and 95th percentile of the yaw's error [deg] over all images, and RMS over those accepted.
 
@@ -206,10 +189,24 @@ REFUSED = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1)
 """Shares of images refused in the table of the risk-coverage curve."""
 
 
-def take_acceptance(poses: Poses, shape: tuple[int, ...]) -> dict[str, np.ndarray]:
-    """What poses of C * H images say of their errors, as the parts of an error field of this shape (C, H)."""
-    found = {name: getattr(poses, source) for name, source in PARTS.items()}
-    return {name: np.reshape(part, shape) for name, part in found.items() if part is not None}
+def make_field(poses: Poses, true: np.ndarray, alignment: Alignment, with_yaw: bool = True) -> ErrorField:
+    """The error field of poses of C * H images in a method's frame; places of which the truth is NaN are left out.
+
+    Args:
+        poses: The poses.
+        true: True poses of the images (C, H, 3): x, y [m], yaw [rad].
+        alignment: From the method's frame to that of the truth.
+        with_yaw: Whether yaws are kept, where the method estimates them.
+    """
+    shape, known = true.shape[:2], np.isfinite(true).all(axis=(1, 2))
+    parts = {name: getattr(poses, source) for name, source in PARTS.items()}
+    if with_yaw and poses.yaw is not None:
+        parts |= {"yaw": alignment.turn(poses.yaw), "yaw_std": poses.yaw_std, "yaw_weight": poses.yaw_weight}
+    parts = {name: np.reshape(part, shape)[known] for name, part in parts.items() if part is not None}
+    predicted, pose = alignment.apply(poses.position).reshape(*shape, 2)[known], true[known]
+    heading = pose[..., 2]
+    shared = (heading[:1] == heading).all()  # a drive reaches each place with a different heading
+    return ErrorField(pose[:, 0, :2], heading[0] if shared else heading, predicted, **parts)
 
 
 def summarise(error: np.ndarray) -> dict[str, float]:

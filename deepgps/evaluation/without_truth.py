@@ -18,7 +18,7 @@ from deepgps.diagnosis.diagnosis import diagnose
 from deepgps.diagnosis.findings import find_faults
 from deepgps.diagnosis.store import read_diagnosis
 from deepgps.evaluation.error_field import find_rms
-from deepgps.evaluation.in_use import adapt, find_causes, open_drive_in_use
+from deepgps.evaluation.in_use import adapt, check_predicted, find_causes, open_drive_in_use
 from deepgps.evaluation.measures import expect_new, measure_new
 from deepgps.evaluation.segment_errors import describe_drive
 from deepgps.learning.trainer import find_device, use_threads
@@ -27,7 +27,7 @@ from deepgps.positioner.positioner import Positioner
 from deepgps.positioner.stored_positioner import load_positioner, read_training
 from deepgps.runs.run_folder import WITHOUT_TRUTH
 from deepgps.terminal.progress import Report, ignore
-from sim.errors import DamagedError, InputError, WorkError
+from sim.errors import DamagedError, InputError
 from sim.files.checksums import read_json
 from sim.geometry import wrap
 from sim.recording.format import Recording, open_recording
@@ -85,7 +85,8 @@ def _judge_method(
     folder: Path, recording: Recording, held_out: Recording | None, device: torch.device
 ) -> dict[str, Any]:
     positioner = load_positioner(folder, device)
-    place = _locate(positioner, recording, folder)
+    place = positioner(recording.observation)
+    check_predicted(folder, place)
     found: dict[str, Any] = {
         "segments": judge_segments(place, recording),
         "new_expected": expect_new(place[recording.reading[:, 1]], recording.reading[:, 0]),
@@ -103,13 +104,6 @@ def _judge_method(
             "new": measure_new(poses.position[rows[:, 1]], rows[:, 0], place),
         }
     return {**found, **read_training(folder)}
-
-
-def _locate(positioner: Positioner, recording: Recording, folder: Path) -> np.ndarray:
-    place = positioner(recording.observation)
-    if wrong := int((~np.isfinite(place)).any(axis=1).sum()):
-        raise WorkError(f"{folder}: for {wrong} of {len(place)} observations it predicts no position")
-    return place
 
 
 def judge_segments(place: np.ndarray, recording: Recording, accepted: np.ndarray | None = None) -> dict[str, Any]:

@@ -56,7 +56,8 @@ def tabulate(metrics: Mapping[str, Any], columns: Sequence[Column] = COLUMNS) ->
 
     Below the row of a method that refuses images is one with the same errors of what it accepts.
     """
-    columns = [column for column in columns if column[1] != "yaw_rms_deg" or _has_yaw(metrics)]
+    has_yaw = any("yaw_rms_deg" in values for values in metrics["methods"].values())
+    columns = [column for column in columns if column[1] != "yaw_rms_deg" or has_yaw]
     headings = ("method", *(heading for heading, _, _ in columns))
     return headings, [row for name, values in metrics["methods"].items() for row in _rows(name, values, columns)]
 
@@ -87,33 +88,36 @@ def describe(metrics: Mapping[str, Any], times: Mapping[str, float] | None = Non
         metrics: Contents of ``metrics.json``.
         times: Seconds of each stage; none: those in the metrics, which do not include ``show``.
     """
-    coverage = metrics["coverage"]
+    coverage, methods = metrics["coverage"], metrics["methods"]
     seen, reachable = coverage["cells_seen"], coverage["reachable_cells"]
     places = "test samples" if _is_held_out(metrics) else "reachable test positions"
     sentences = [
         f"{metrics['samples']} observations on {metrics['segments']} straight segments, "
-        f"{metrics['distance_driven_m']:.0f} m driven; the room's shorter side is {metrics['shorter_side_m']:.2f} m.",
-        f"{seen} of {reachable} {places} ({100 * seen / max(reachable, 1):.1f} %) are within "
-        "0.25 m of a training observation.",
-        describe_time(metrics["timing_s"] if times is None else times),
+        f"{metrics['distance_driven_m']:.0f} m driven; the room's shorter side is {metrics['shorter_side_m']:.2f} m."
     ]
-    if trajectory := metrics.get("trajectory"):
-        error = f"RMS {trajectory['rms_m']:.2f} m, at most {trajectory['max_m']:.2f} m"
-        sentences.insert(1, f"The dead-reckoned path, best aligned with the true one, is off by {error}.")
     if distances := metrics.get("distances"):
         measured, expected = (f"{100 * distances[f'segment_{name}']:.2f} cm" for name in ("rms_m", "expected_m"))
-        sentences.insert(
-            1,
-            f"The encoders' segment lengths have an RMS error of {measured}; theory predicts {expected}."
-            f"{_describe_wrong(distances)}",
-        )
-    sentences[-1:-1] = [
-        *_describe_accepted(metrics["methods"]),
-        *_describe_maps(metrics["methods"]),
-        *_describe_leans(metrics["methods"]),
+        sentence = f"The encoders' segment lengths have an RMS error of {measured}; theory predicts {expected}."
+        if wrong := distances["segments_wrong"]:
+            sentence += f" {wrong} segments have larger errors than noise explains; disagreement of the wheels reveals "
+            sentence += f"{distances['wrong_doubted']}."
+        sentences.append(sentence)
+    if trajectory := metrics.get("trajectory"):
+        error = f"RMS {trajectory['rms_m']:.2f} m, at most {trajectory['max_m']:.2f} m"
+        sentences.append(f"The dead-reckoned path, best aligned with the true one, is off by {error}.")
+    return [
+        *sentences,
+        f"{seen} of {reachable} {places} ({100 * seen / max(reachable, 1):.1f} %) are within "
+        "0.25 m of a training observation.",
+        *_list_shares("Accepted images (places)", methods, ("accepted", "accepted_places"), 1),
+        *_list_shares(
+            "Accepted images within their 68 % radius (95 %)", methods, ("radius_68_holds", "radius_95_holds"), 0
+        ),
+        *_describe_maps(methods),
+        *_describe_leans(methods),
         *_describe_in_use(metrics),
+        describe_time(metrics["timing_s"] if times is None else times),
     ]
-    return sentences
 
 
 def describe_errors(metrics: Mapping[str, Any]) -> str:
@@ -130,24 +134,11 @@ def markdown_table(metrics: Mapping[str, Any], columns: Sequence[Column] = COLUM
 
 def markdown_report(metrics: Mapping[str, Any]) -> str:
     """The complete report in Markdown: title, table, sentences about the drive, environment."""
+    sentences = [*(f"- **{sentence}**" for sentence in judge_run(metrics)), *(f"- {one}" for one in describe(metrics))]
     environment = [f"- {name}: {_plain(value)}" for name, value in metrics["environment"].items()]
-    return "\n".join(
-        [
-            f"# {metrics['scenario']}, seed {metrics['seed']}",
-            "",
-            markdown_table(metrics),
-            "",
-            describe_errors(metrics),
-            "",
-            *(f"- **{sentence}**" for sentence in judge_run(metrics)),
-            *(f"- {sentence}" for sentence in describe(metrics)),
-            "",
-            "## Environment",
-            "",
-            *environment,
-            "",
-        ]
-    )
+    title, said = f"# {metrics['scenario']}, seed {metrics['seed']}", "\n".join(sentences)
+    blocks = [title, markdown_table(metrics), describe_errors(metrics), said, "## Environment", "\n".join(environment)]
+    return "\n\n".join(blocks) + "\n"
 
 
 def print_report(run: Path, console: Console, sitting_s: float | None = None) -> None:
@@ -168,22 +159,10 @@ def print_report(run: Path, console: Console, sitting_s: float | None = None) ->
     title = f"{metrics['scenario']}, seed {metrics['seed']}"
     table.print_table(console, headings, rows, title, bold=title_of("deepgps"))
     console.print()
-    for sentence in describe(metrics, read_times(run, metrics)):
-        console.print(sentence, markup=False, highlight=False)
-    for sentence in judge_run(metrics):
-        console.print(sentence, style="yellow", markup=False, soft_wrap=True)
+    table.say(console, *describe(metrics, read_times(run, metrics)))
+    table.say(console, *judge_run(metrics), style="yellow")
     if sitting_s is not None:
-        console.print(f"This command took {sitting_s:.1f} s, its start included.", highlight=False)
-
-
-def _describe_accepted(methods: Mapping[str, Any]) -> list[str]:
-    """What each method accepts, and how often its radii hold the true position of that."""
-    return [
-        *_list_shares("Accepted images (places)", methods, ("accepted", "accepted_places"), 1),
-        *_list_shares(
-            "Accepted images within their 68 % radius (95 %)", methods, ("radius_68_holds", "radius_95_holds"), 0
-        ),
-    ]
+        table.say(console, f"This command took {sitting_s:.1f} s, its start included.")
 
 
 def _list_shares(what: str, methods: Mapping[str, Any], keys: tuple[str, str], digits: int) -> list[str]:
@@ -210,19 +189,17 @@ def _describe_maps(methods: Mapping[str, Any]) -> list[str]:
 
 def _describe_leans(methods: Mapping[str, Any]) -> list[str]:
     """How the camera leans, in training and in use, by the first method that measures it, if it does so visibly."""
-    leans = ((values, values.get("in_use", {})) for values in methods.values() if "lean_roll_deg" in values)
-    trained, in_use = next(leans, ({}, {}))
-    found = {where: _read_lean(some) for where, some in (("training", trained), ("use", in_use))}
-    if not any(lean and max(map(abs, lean)) >= VISIBLE_DEG for lean in found.values()):
+    trained = next((values for values in methods.values() if "lean_roll_deg" in values), {})
+    places = {"training": trained, "use": trained.get("in_use", {})}
+    leans = {
+        where: (values["lean_roll_deg"], values["lean_pitch_deg"])
+        for where, values in places.items()
+        if "lean_roll_deg" in values
+    }
+    if not any(max(map(abs, lean)) >= VISIBLE_DEG for lean in leans.values()):
         return []
-    parts = (
-        f"{lean[0]:.2f}° to the right and {lean[1]:.2f}° forward in {where}" for where, lean in found.items() if lean
-    )
+    parts = (f"{roll:.2f}° to the right and {pitch:.2f}° forward in {where}" for where, (roll, pitch) in leans.items())
     return [f"By its turns, the camera leans {', '.join(parts)}."]
-
-
-def _read_lean(values: Mapping[str, Any]) -> tuple[float, float] | None:
-    return (values["lean_roll_deg"], values["lean_pitch_deg"]) if "lean_roll_deg" in values else None
 
 
 def _describe_in_use(metrics: Mapping[str, Any]) -> list[str]:
@@ -242,17 +219,6 @@ def _describe_errors_in_use(values: Mapping[str, Any]) -> str:
         return of_all
     accepted = f"{write_hundredths(values['rms_accepted_m'])} ({write_hundredths(values['median_accepted_m'])})"
     return f"{of_all}, of the {100 * values['accepted']:.1f} % accepted {accepted}"
-
-
-def _describe_wrong(distances: Mapping[str, Any]) -> str:
-    if not (wrong := distances["segments_wrong"]):
-        return ""
-    found = distances["wrong_doubted"]
-    return f" {wrong} segments have larger errors than noise explains; disagreement of the wheels reveals {found}."
-
-
-def _has_yaw(metrics: Mapping[str, Any]) -> bool:
-    return any("yaw_rms_deg" in values for values in metrics["methods"].values())
 
 
 def _is_held_out(metrics: Mapping[str, Any]) -> bool:

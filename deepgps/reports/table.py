@@ -1,4 +1,4 @@
-"""One table, written as Markdown or printed in the terminal."""
+"""A table and sentences, written as Markdown or printed in the terminal."""
 
 from collections.abc import Sequence
 
@@ -14,7 +14,8 @@ def tabulate(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     widths = [max(map(len, column)) for column in columns]
     numbers = [all(cell[:1] in "0123456789-" for cell in column[1:]) for column in columns]
     rule = ["-" * (width - right) + ":" * right for width, right in zip(widths, numbers, strict=True)]
-    lines = [[_pad(*cell) for cell in zip(row, widths, numbers, strict=True)] for row in (headings, rule, *rows)]
+    cells = (zip(row, widths, numbers, strict=True) for row in (headings, rule, *rows))
+    lines = ([text.rjust(width) if right else text.ljust(width) for text, width, right in row] for row in cells)
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
@@ -40,5 +41,7 @@ def print_table(
     console.print(table)
 
 
-def _pad(cell: str, width: int, right: bool) -> str:
-    return cell.rjust(width) if right else cell.ljust(width)
+def say(console: Console, *sentences: str, style: str | None = None) -> None:
+    """Print sentences as they are, each on a line."""
+    for sentence in sentences:
+        console.print(sentence, style=style, markup=False, highlight=False, soft_wrap=True)

@@ -12,7 +12,7 @@ from rich.console import Console
 from deepgps.config.methods import title_of
 from deepgps.evaluation.track_run import APART, Reference, Tracked, measure_distances, take_in_world
 from deepgps.reports.plots import PAPER, SCALE_M, add_scale, colours_of, count_by_decades, draw_room, to_png
-from deepgps.reports.table import print_table
+from deepgps.reports.table import print_table, say
 from deepgps.tracking.causes import describe_causes
 from deepgps.tracking.track import PATHS, Track
 from sim.files.atomic import write_bytes
@@ -37,27 +37,19 @@ def print_track(tracked: Tracked, console: Console) -> None:
     """Print what was tracked, and the table of errors where the truth is known."""
     figures = tracked.figures
     accepted = figures["accepted"]
-    console.print(
+    say(
+        console,
         f"{title_of(tracked.method)}: {figures['tracked']} of {figures['images']} images tracked; "
         f"{accepted['causal']:.1%} accepted while driving, {accepted['smoothed']:.1%} afterwards.\n",
-        markup=False,
-        highlight=False,
-        soft_wrap=True,
     )
     if "causes" in figures:
-        console.print(f"{describe_causes(figures['causes'])}\n", highlight=False, soft_wrap=True)
+        say(console, f"{describe_causes(figures['causes'])}\n")
     if "paths" not in figures:
         frame = "map's own frame" if tracked.alignment is None else "world's frame"
-        console.print(
-            f"The truth is not known, so there are no errors. --tum writes poses in the {frame}.", soft_wrap=True
-        )
+        say(console, f"The truth is not known, so there are no errors. --tum writes poses in the {frame}.")
         return
     print_table(console, ("path", *(one[0] for one in COLUMNS)), list_rows(figures["paths"]))
-    console.print(
-        f"\nErrors on images of the drive; ATE after an alignment of its own, RPE over {APART} images.",
-        highlight=False,
-        soft_wrap=True,
-    )
+    say(console, f"\nErrors on images of the drive; ATE after an alignment of its own, RPE over {APART} images.")
 
 
 def list_rows(paths: dict[str, dict[str, Any]]) -> list[list[str]]:

@@ -12,7 +12,7 @@ from deepgps.diagnosis.diagnosis import Diagnosis, Estimate
 from deepgps.diagnosis.findings import UNKNOWN, Finding, find_faults, list_smallest
 from deepgps.evaluation.segment_errors import measure_segments
 from deepgps.reports.plots import SCREEN
-from deepgps.reports.table import print_table, tabulate
+from deepgps.reports.table import print_table, say, tabulate
 from sim.recording.format import Recording
 from sim.sensors.encoder import measure_tick
 from sim.settings import EncoderSettings, RobotSettings
@@ -75,12 +75,10 @@ def write_markdown(diagnosis: Diagnosis) -> str:
 def print_diagnosis(diagnosis: Diagnosis, console: Console) -> None:
     """Print the page: faults, then the table, then what cannot be known."""
     faults = find_faults(diagnosis)
-    well = not faults and _is_measured(diagnosis)
-    for line in _list_findings(diagnosis, faults):
-        console.print(line + "\n", style="green" if well else "yellow", markup=False, highlight=False, soft_wrap=True)
+    style = "green" if not faults and _is_measured(diagnosis) else "yellow"
+    say(console, *(f"{line}\n" for line in _list_findings(diagnosis, faults)), style=style)
     print_table(console, HEADINGS, list_rows(diagnosis))
-    for line in (_say_how(diagnosis), UNKNOWN):
-        console.print(f"\n{line}", highlight=False, markup=False, soft_wrap=True)
+    say(console, f"\n{_say_how(diagnosis)}", f"\n{UNKNOWN}")
 
 
 def _is_measured(diagnosis: Diagnosis) -> bool:
@@ -138,26 +136,17 @@ def describe_encoders(recording: Recording, pose: np.ndarray, drift: np.ndarray)
         "encoder / true distance": f"{1 + error.sum() / length.sum():.4f}",
         "drift of the dead-reckoned path from its start": f"{drift[-1]:.2f} m at the end, {drift.max():.2f} m at most",
     }
-    return "\n".join(
-        [
-            "## Encoder measurements",
-            "",
-            *list_faults(recording),
-            "",
-            "| measured | |",
-            "|---|---|",
-            *(f"| {name} | {value} |" for name, value in measured.items()),
-            "",
-            "Above: the true path (blue) and the dead-reckoned path (orange) of the last two minutes; the red line "
-            "joins the two positions at the current time.",
-        ]
+    rows = [[name, value] for name, value in measured.items()]
+    shown = (
+        "Above: the true path (blue) and the dead-reckoned path (orange) of the last two minutes; the red line joins "
+        "the two positions at the current time."
     )
+    return "\n\n".join(["## Encoder measurements", list_faults(recording), tabulate(["measured", ""], rows), shown])
 
 
-def list_faults(recording: Recording) -> list[str]:
+def list_faults(recording: Recording) -> str:
     """A Markdown table of faults and settings that differ from faultless encoders, or a sentence that none differs."""
-    settings = recording.manifest.settings
-    ticks = recording.manifest.odometry["ticks_per_rev"]
+    settings, ticks = recording.manifest.settings, recording.manifest.odometry["ticks_per_rev"]
     sound = {f"encoder.{name}": value for name, value in EncoderSettings().model_dump().items()}
     sound["robot.wheel_radius_error"] = RobotSettings().wheel_radius_error
     was_set = {
@@ -166,11 +155,14 @@ def list_faults(recording: Recording) -> list[str]:
     was_set["encoder.ticks_per_rev"] = ticks
     for name, strength in settings.get("encoder", {}).get("plugins", {}).items():
         sound[f"encoder.plugins.{name}"], was_set[f"encoder.plugins.{name}"] = 0.0, strength
-    faults = {name: value for name, value in was_set.items() if name in sound and value != sound[name]}
-    if not faults:
-        return [f"No faults are set: {ticks} ticks per revolution, all of them correct."]
-    rows = (f"| {name} | **{value}** | {sound[name]} |" for name, value in faults.items())
-    return ["| fault or setting | this run | default |", "|---|---:|---:|", *rows]
+    rows = [
+        [name, f"**{value}**", str(sound[name])]
+        for name, value in was_set.items()
+        if name in sound and value != sound[name]
+    ]
+    if not rows:
+        return f"No faults are set: {ticks} ticks per revolution, all of them correct."
+    return tabulate(["fault or setting", "this run", "default"], rows)
 
 
 def draw_segments(length: np.ndarray, error: np.ndarray) -> Figure:

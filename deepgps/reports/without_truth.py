@@ -42,8 +42,7 @@ def print_without_truth(run: Path, console: Console) -> bool:
     headings, rows = tabulate(found)
     table.print_table(console, headings, rows)
     console.print()
-    for sentence in describe(found):
-        console.print(sentence, markup=False, highlight=False, soft_wrap=True)
+    table.say(console, *describe(found))
     return True
 
 

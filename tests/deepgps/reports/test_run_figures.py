@@ -80,13 +80,8 @@ def test_a_narrow_drive_along_y_has_a_figure_that_can_be_drawn(run: Path) -> Non
     assert np.ptp(limits(space), axis=0)[1] > 100 * np.ptp(limits(space), axis=0)[0]
     figure = draw_error_field(space, read_all_headings(run)["deepgps"], "deepgps")
     assert figure.get_figheight() < 40.0
-
-
-def test_equal_figures_give_equal_bytes(run: Path) -> None:
-    space, field = make_free_space(), read_all_headings(run)["deepgps"]
-    first, second = (to_png(draw_error_field(space, field, "deepgps")) for _ in range(2))
-    assert first == second
-    assert b"Matplotlib" not in first
+    first, second = (to_png(draw_error_field(make_free_space(), read_all_headings(run)["knn"], "knn")) for _ in "ab")
+    assert first == second and b"Matplotlib" not in first, "equal figures give equal bytes"
 
 
 def list_arrows(quiver: Artist) -> np.ndarray:

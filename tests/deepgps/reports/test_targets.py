@@ -42,7 +42,7 @@ def test_table_sets_each_figure_beside_the_target_and_the_paper_of_its_name() ->
 
 def test_intervals_hold_the_true_value_in_about_95_of_100_cases() -> None:
     rng, held = np.random.default_rng(0), {"mean": 0, "median": 0, "ratio": 0, "share": 0}
-    for _ in range(200):
+    for _ in range(60):
         ours, theirs = rng.normal(2.0, 0.5, (2, 30))
         found = {
             "mean": (mean_of("", ours.tolist(), "cm"), 2.0),
@@ -55,7 +55,7 @@ def test_intervals_hold_the_true_value_in_about_95_of_100_cases() -> None:
             low, high = figure.interval
             assert low <= figure.value <= high
             held[name] += low <= true <= high
-    assert all(175 <= count <= 199 for count in held.values()), held
+    assert all(51 <= count <= 60 for count in held.values()), held
 
 
 def test_few_values_have_no_interval_and_the_worst_is_on_the_wrong_side() -> None:

@@ -1,7 +1,9 @@
 """The log of a drive: its topics, its times, what it shares with the recording, and how it is written."""
 
 from collections import defaultdict
+from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,10 +15,11 @@ from sim.errors import InputError
 from sim.files.checksums import write_arrays, write_json
 from sim.recording.collect import collect
 from sim.recording.format import open_recording, open_truth
+from sim.recording.renderers import Part
 from sim.robot.model import WHEEL_RADIUS_M
 from sim.robot_log import log as writing
 from sim.robot_log.log import check_log, robot_file, write_log, write_robot
-from sim.robot_log.observe import EPOCH_NS, make_base_clock
+from sim.robot_log.observe import EPOCH_NS, Observed, make_base_clock
 from sim.settings import CameraMountSettings, DriveSettings, EncoderSettings, ImageFaultSettings, SimSettings
 
 SEED, SAMPLES = 3, 16
@@ -158,61 +161,125 @@ def test_it_has_the_same_bytes_on_any_number_of_cores(path, settings, recording,
     assert {one.name for one in tmp_path.iterdir()} == {"again.mcap", "again.robot.yaml"}
 
 
-@pytest.mark.slow
-def test_interrupted_work_is_continued_and_says_so(path, settings, recording, tmp_path, caplog, monkeypatch, log):
+class ToyRenderers:
+    """Writes parts whose pictures are drawn by nobody: their numbers, as bytes."""
+
+    def __init__(self, *_: object) -> None:
+        pass
+
+    def __enter__(self) -> "ToyRenderers":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def give(self, part: Part) -> None:
+        count = len(part.states)
+        write_arrays(part.path, {"jpeg": np.arange(9 * count, dtype=np.uint8), "end": 9 * np.arange(1, count + 1)})
+
+    def finish(self, tell: Callable[[int], None]) -> None:
+        tell(0)
+
+
+def observe_toy() -> Observed:
+    """What is observed of a robot that drives ahead for ten seconds, with pictures and rays of the first one."""
+    fast, slow = np.arange(0.05, 10.0, 0.05), np.arange(0.1, 1.0, 0.1)
+    ahead = np.column_stack([0.2 * fast, np.zeros((len(fast), 2))])
+    angle = 6.0 * np.column_stack([fast, fast]) - 6.0 * fast[0]
+    return Observed(fast, angle, slow, np.zeros((len(slow), 9)), slow, np.ones((len(slow), 29)), fast, ahead)
+
+
+Write = Callable[..., Path]
+
+
+@pytest.fixture(params=["toy", pytest.param("real", marks=pytest.mark.slow)])
+def write(
+    request: pytest.FixtureRequest, settings: SimSettings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Write:
+    """Writes the log of the drive, or of a toy of it, into a folder and returns its path."""
+    recording = tmp_path
+    if request.param == "toy":
+        monkeypatch.setattr(writing, "TracedWorld", lambda given: SimpleNamespace(settings=given))
+        monkeypatch.setattr(writing, "_drive", lambda *_: observe_toy())
+        monkeypatch.setattr(writing, "Renderers", ToyRenderers)
+    else:
+        recording = request.getfixturevalue("recording")
+
+    def write(name: str, key: str = "key", progress: Callable[..., None] = quiet, **changes: Any) -> Path:
+        path = tmp_path / name / "a.mcap"
+        write_log(path, settings.model_copy(update=changes), SEED, recording, key, progress, workers=1)
+        return path
+
+    return write
+
+
+def list_names(folder: Path) -> set[str]:
+    return {path.name for path in folder.iterdir()}
+
+
+def test_interrupted_work_is_continued_and_says_so(write, tmp_path, caplog, monkeypatch):
     def stop(stage: str, *_: int) -> None:
         if stage == "log write":
             raise KeyboardInterrupt
 
+    whole = write("whole")
     with pytest.raises(KeyboardInterrupt):
-        write_log(tmp_path / "a.mcap", settings, SEED, recording, "key", stop, workers=1)
-    assert not (tmp_path / "a.mcap").exists()
-    part = tmp_path / "a.mcap.parts" / "picture-000000.npz"
+        write("cut", progress=stop)
+    assert not (tmp_path / "cut" / "a.mcap").exists()
+    part = tmp_path / "cut" / "a.mcap.parts" / "picture-000000.npz"
     part.write_bytes(part.read_bytes()[:-100])
     asked, there = [], sum(file.stat().st_size for file in part.parent.iterdir())
     monkeypatch.setattr(writing, "check_space", lambda _, needed: asked.append(needed))
-    write_log(tmp_path / "a.mcap", settings, SEED, recording, "key", quiet, workers=1)
-    pictures = writing.PICTURE_BYTES * len(log[IMAGE])
+    path = write("cut")
+    pictures = writing.PICTURE_BYTES * len(read(path)[IMAGE])
     assert asked == [2 * pictures - there]
     assert "a.mcap.parts holds the beginning of this log: it is continued" in caplog.text
-    assert (tmp_path / "a.mcap").read_bytes() == path.read_bytes()
-    assert {one.name for one in tmp_path.iterdir()} == {"a.mcap", "a.robot.yaml"}
+    assert path.read_bytes() == whole.read_bytes()
+    assert list_names(path.parent) == {"a.mcap", "a.robot.yaml"}
 
 
-@pytest.mark.slow
-def test_two_processes_cannot_write_one_log(path, settings, recording, tmp_path):
+def test_two_processes_cannot_write_one_log(write):
     def write_again(stage: str, *_: int) -> None:
         if stage == "log write":
             with pytest.raises(InputError, match=r"--log .*a\.mcap is being written by another process"):
-                write_log(tmp_path / "a.mcap", settings, SEED, recording, "other", quiet, workers=1)
+                write("a", "other")
 
-    write_log(tmp_path / "a.mcap", settings, SEED, recording, "key", write_again, workers=1)
-    assert (tmp_path / "a.mcap").read_bytes() == path.read_bytes()
-    assert {one.name for one in tmp_path.iterdir()} == {"a.mcap", "a.robot.yaml"}
+    path = write("a", progress=write_again)
+    assert path.read_bytes() == write("b").read_bytes()
+    assert list_names(path.parent) == {"a.mcap", "a.robot.yaml"}
 
 
-@pytest.mark.slow
-def test_parts_of_another_log_are_not_used(path, settings, recording, tmp_path, caplog):
-    parts = tmp_path / "a.mcap.parts"
+def test_parts_of_another_log_are_not_used(write, tmp_path, caplog):
+    parts = tmp_path / "a" / "a.mcap.parts"
     write_arrays(parts / "picture-000000.npz", {"jpeg": np.zeros(3, np.uint8), "end": np.array([3])})
     write_json(parts / "log.json", {"key": "other"})
-    write_log(tmp_path / "a.mcap", settings, SEED, recording, "key", quiet, workers=1)
+    path = write("a")
     assert "a.mcap.parts holds the beginning of another log: this one is started again" in caplog.text
-    assert (tmp_path / "a.mcap").read_bytes() == path.read_bytes()
+    assert path.read_bytes() == write("b").read_bytes()
 
 
-@pytest.mark.slow
-def test_a_complete_log_stays_and_one_of_other_settings_is_replaced(path, settings, recording, tmp_path, caplog):
-    here = tmp_path / "a.mcap"
-    here.write_bytes(path.read_bytes())
-    before = here.stat().st_mtime_ns
-    check_log(here, settings)
-    write_log(here, settings, SEED, recording, "key", quiet, workers=1)
-    assert here.stat().st_mtime_ns == before
+def test_a_complete_log_stays_and_one_of_other_settings_is_replaced(write, settings, caplog):
+    path = write("a")
+    before, content = path.stat().st_mtime_ns, path.read_bytes()
+    check_log(path, settings)
+    write("a")
+    assert path.stat().st_mtime_ns == before
     assert "is complete already" in caplog.text
-    write_log(here, settings, SEED, recording, "another key", quiet, workers=1)
-    assert here.read_bytes() != path.read_bytes()
-    assert len(read(here)[IMAGE]) == len(read(path)[IMAGE])
+    write("a", "another key")
+    assert path.read_bytes() != content
+    assert len(read(path)[IMAGE]) == len(read(write("b"))[IMAGE])
+
+
+def test_faults_of_the_encoders_are_in_the_log(write, settings):
+    faults = EncoderSettings(radius_error_left=0.1, dropout=0.2)
+    every, states = (
+        read(write(name, **more))["/joint_states"] for name, more in (("a", {}), ("b", {"encoder": faults}))
+    )
+    assert 0.7 * len(every) < len(states) < 0.9 * len(every)
+    sound = {message.stamp: message.content.position for message in every}
+    expected = np.array([sound[message.stamp] for message in states]) * (1.1, 1.0)
+    tick = 2 * np.pi / faults.ticks_per_rev
+    np.testing.assert_allclose([message.content.position for message in states], expected, atol=3 * tick)
 
 
 @pytest.mark.slow
@@ -236,18 +303,6 @@ def test_a_foreign_description_is_kept(settings, recording, tmp_path):
     (tmp_path / "a.robot.yaml").write_text("mine: 1")
     with pytest.raises(InputError, match=r"a.robot.yaml exists, and deepgps did not write it"):
         check_log(tmp_path / "a.mcap", settings)
-
-
-@pytest.mark.slow
-def test_faults_of_the_encoders_are_in_the_log(log, settings, recording, tmp_path):
-    faulty = settings.model_copy(update={"encoder": EncoderSettings(radius_error_left=0.1, dropout=0.2)})
-    write_log(tmp_path / "a.mcap", faulty, SEED, recording, "key", quiet, workers=1)
-    states = read(tmp_path / "a.mcap")["/joint_states"]
-    assert 0.7 * len(log["/joint_states"]) < len(states) < 0.9 * len(log["/joint_states"])
-    sound = {message.stamp: message.content.position for message in log["/joint_states"]}
-    tick = 2 * np.pi / faulty.encoder.ticks_per_rev
-    expected = np.array([sound[message.stamp] for message in states]) * (1.1, 1.0)
-    np.testing.assert_allclose([message.content.position for message in states], expected, atol=3 * tick)
 
 
 def test_the_log_of_another_drive_is_refused(settings, recording, tmp_path):
