@@ -38,32 +38,18 @@ class YawModule(nn.Module):
         sectors: Sectors of the images.
     """
 
-    spectrum: torch.Tensor
-    place: torch.Tensor
-    heading: torch.Tensor
-    parallax: torch.Tensor
-    position_std: torch.Tensor
-    pool: torch.Tensor
-    loud: torch.Tensor
-    wave: torch.Tensor
-    curve: torch.Tensor
-
     def __init__(self, table: headings.HeadingTable, rings: int, sectors: int) -> None:
         super().__init__()
         self.chirality, self.std_factor, self.sectors = table.chirality, table.std_factor, sectors
         pool, passed = _pool(rings), headings.filter_frequencies(sectors)
         wave = np.exp(-2j * np.pi / sectors * np.outer(np.arange(sectors), np.arange(1, len(passed) + 1))) * passed
         angle = 2.0 * np.pi / headings.FINE * np.outer(np.arange(1, len(passed) + 1), np.arange(headings.FINE))
-        arrays = {
-            "spectrum": np.concatenate([table.spectrum[..., 0], table.spectrum[..., 1]], axis=2),
-            **{name: np.float64(getattr(table, name)) for name in ("place", "heading", "parallax", "position_std")},
-            "pool": np.float32(pool),
-            "loud": np.sqrt(np.arange(len(pool)) + 0.5)[:, None].astype(np.float32),
-            "wave": np.float32(np.concatenate([wave.real, wave.imag], axis=1)),
-            "curve": np.float32(np.concatenate([np.cos(angle), -np.sin(angle)])),
-        }
-        for name, array in arrays.items():
-            self.register_buffer(name, torch.from_numpy(np.ascontiguousarray(array)))
+        self.spectrum = _keep(np.concatenate([table.spectrum[..., 0], table.spectrum[..., 1]], axis=2))
+        self.place, self.heading = _keep(np.float64(table.place)), _keep(np.float64(table.heading))
+        self.parallax, self.position_std = _keep(np.float64(table.parallax)), _keep(np.float64(table.position_std))
+        self.pool, self.loud = _keep(np.float32(pool)), _keep(np.float32(np.sqrt(np.arange(len(pool)) + 0.5)[:, None]))
+        self.wave = _keep(np.float32(np.concatenate([wave.real, wave.imag], axis=1)))
+        self.curve = _keep(np.float32(np.concatenate([np.cos(angle), -np.sin(angle)])))
 
     def forward(self, image: torch.Tensor, position: torch.Tensor) -> FoundYaw:
         """Yaw of images (B, rings, sectors, channels) float32 whose camera was at positions (B, 2) float64 [m]."""
@@ -142,6 +128,11 @@ class YawModule(nn.Module):
         return torch.where(both > 0.0, wrap(found), none), torch.where(both > 0.0, std, none), both
 
 
+def _keep(array: np.ndarray) -> nn.Buffer:
+    """An array as a constant of a module."""
+    return nn.Buffer(torch.from_numpy(np.array(array, order="C")))
+
+
 def _pool(rings: int) -> np.ndarray:
     """Matrix (P, rings) that takes the means of neighbouring rings."""
     edge = np.append(headings.choose_parts(rings, headings.RINGS), rings)
@@ -194,27 +185,18 @@ class ConfidenceModule(nn.Module):
         table: The table.
     """
 
-    known: torch.Tensor
-    scale: torch.Tensor
-    place: torch.Tensor
-    metres: torch.Tensor
-    map_std: torch.Tensor
-    slope: torch.Tensor
-    normal: torch.Tensor
-
     def __init__(self, table: confidence.Confidence) -> None:
         super().__init__()
         self.threshold_m, self.reach_m = table.threshold_m, table.reach_m
         self.gives_radii = bool(np.isfinite(table.slope).all())
-        arrays = {
-            "known": table.features,
-            "scale": np.float32(table.scale),
-            "metres": np.float32(table.metres),
-            "normal": confidence.find_normal_radius(np.array(confidence.LEVELS)),
-            **{name: np.float64(getattr(table, name)) for name in ("place", "map_std", "slope")},
-        }
-        for name, array in arrays.items():
-            self.register_buffer(name, torch.from_numpy(np.ascontiguousarray(array)))
+        self.known, self.normal = (
+            _keep(table.features),
+            _keep(confidence.find_normal_radius(np.array(confidence.LEVELS))),
+        )
+        self.scale, self.metres = _keep(np.float32(table.scale)), _keep(np.float32(table.metres))
+        self.place, self.map_std, self.slope = (
+            _keep(np.float64(part)) for part in (table.place, table.map_std, table.slope)
+        )
 
     def forward(self, features: torch.Tensor, position: torch.Tensor) -> dict[str, torch.Tensor]:
         """Parts of ``Poses`` by name, of images with features (B, K) whose camera was at positions (B, 2) [m]."""
@@ -242,17 +224,13 @@ class Deployed(nn.Module):
         alignment: From its map's frame to that of the poses; None: the poses are in the map's frame.
     """
 
-    centre: torch.Tensor
-    axes: torch.Tensor
-
     def __init__(self, positioner: NetworkPositioner, alignment: Alignment | None) -> None:
         super().__init__()
         rings, sectors, _ = positioner.shape
         self.features = None if positioner.features is None else FeatureModule(positioner.features)
         self.likeness = None if positioner.likeness is None else FeatureModule(positioner.likeness)
         self.network, self.mount = positioner.network, positioner.mount
-        self.register_buffer("centre", positioner.centre)
-        self.register_buffer("axes", positioner.axes.double())
+        self.centre, self.axes = nn.Buffer(positioner.centre), nn.Buffer(positioner.axes.double())
         table = positioner.headings
         self.yaws = None if table is None else YawModule(table, rings, sectors)
         self.chirality = 1 if table is None else table.chirality
@@ -296,20 +274,15 @@ class Deployed(nn.Module):
 class FeatureModule(nn.Module):
     """``Features.apply`` for polar images."""
 
-    wave: torch.Tensor
-    least: torch.Tensor
-    mean: torch.Tensor
-    basis: torch.Tensor
-
     def __init__(self, features: Features) -> None:
         super().__init__()
         _, sectors, _ = features.shape
         self.by_rank = features.values == "ranks"
-        self.register_buffer("wave", make_waves(sectors, min(features.frequencies, sectors // 2)))
+        count = min(features.frequencies, sectors // 2)
+        self.wave = nn.Buffer(make_waves(sectors, count))
         # As a single number, the optimiser of ONNX models takes this for zero and drops it.
-        self.register_buffer("least", torch.full((min(features.frequencies, sectors // 2),), LEAST))
-        self.register_buffer("mean", features.mean)
-        self.register_buffer("basis", features.basis)
+        self.least = nn.Buffer(torch.full((count,), LEAST))
+        self.mean, self.basis = nn.Buffer(features.mean), nn.Buffer(features.basis)
 
     def forward(self, image: torch.Tensor) -> torch.Tensor:
         """Features (B, components) of images (B, rings, sectors, 3) float32."""
@@ -336,15 +309,11 @@ def _rank_values(image: torch.Tensor) -> torch.Tensor:
 class FrameModule(nn.Module):
     """An ``Alignment``."""
 
-    rotation: torch.Tensor
-    translation: torch.Tensor
-
     def __init__(self, alignment: Alignment) -> None:
         super().__init__()
         self.angle = float(np.arctan2(*alignment.rotation[::-1, 0]))
         self.sign = float(np.sign(np.linalg.det(alignment.rotation)))
-        self.register_buffer("rotation", torch.from_numpy(alignment.rotation.T.copy()))
-        self.register_buffer("translation", torch.from_numpy(alignment.translation.copy()))
+        self.rotation, self.translation = _keep(alignment.rotation.T), _keep(alignment.translation)
 
     def forward(self, position: torch.Tensor) -> torch.Tensor:
         """Positions (B, 2) float64 [m] in the frame that the alignment leads to."""

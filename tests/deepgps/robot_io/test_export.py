@@ -12,26 +12,21 @@ from sim.errors import InputError
 from tests.helpers.command import assert_one_clear_line, deepgps_here
 
 
-def test_trajectories_go_into_a_folder_of_their_own_again_and_again(finished_run: Path, tmp_path: Path):
+def test_trajectories_go_into_a_folder_of_their_own_again_and_every_image_is_located_once(
+    finished_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     (tmp_path / "first").symlink_to(finished_run)
-    words = ("export", "first", "--tum", "--csv", "--method", "posenet", "--out", "given")
-    for _ in range(2):
+    found = []
+    monkeypatch.setattr(trajectories, "find_poses", lambda *given: found.append(given) or find_poses(*given))
+    words = ("export", "first", "--tum", "--csv", "--mcap", "--method", "posenet", "--out", "given")
+    for times in (1, 2):
         done = deepgps_here(*words, cwd=tmp_path)
         assert done.returncode == 0, done.stderr
-        assert done.stdout == "wrote given/tum\nwrote given/csv\n"
+        assert done.stdout == "wrote given/tum\nwrote given/csv\nwrote given/mcap\n"
+        assert len(found) == 2 * times, "once for each drive, in all formats"
     written = sorted(path.relative_to(tmp_path / "given").as_posix() for path in tmp_path.rglob("given/*/*/*"))
     files = itertools.product(("csv", "tum"), ("training", "use"), ("posenet", "truth"))
     assert written == [f"{kind}/{drive}/{name}.{kind}" for kind, drive, name in files]
-
-
-def test_every_image_is_located_once_for_all_formats(
-    finished_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    found = []
-    monkeypatch.setattr(trajectories, "find_poses", lambda *given: found.append(given) or find_poses(*given))
-    done = deepgps_here("export", str(finished_run), "--tum", "--mcap", "--method", "posenet", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert len(found) == 2, "once for each drive"
 
 
 def test_a_run_of_the_same_name_does_not_write_into_the_export_of_another(finished_run: Path, tmp_path: Path):
@@ -67,7 +62,7 @@ def test_a_method_is_written_as_onnx(finished_run: Path, tmp_path: Path, monkeyp
     assert '"frame": "map"' in (tmp_path / "robot" / "onnx" / "meta.json").read_text()
 
 
-def test_wrong_words_are_refused(finished_run: Path, tmp_path: Path):
+def test_wrong_words_are_refused_and_a_folder_of_the_user_s_is_left_alone(finished_run: Path, tmp_path: Path):
     for words, said in (
         ((), "needs at least one of --tum, --csv, --mcap, --onnx"),
         (("--onnx", "--radius-px", "9"), "--centre and --radius-px: give both"),
@@ -76,9 +71,6 @@ def test_wrong_words_are_refused(finished_run: Path, tmp_path: Path):
         (("--tum", "--method", "pca_knn"), "method 'pca_knn': "),
     ):
         assert_one_clear_line(deepgps_here("export", str(finished_run), *words, cwd=tmp_path), 2, said, tmp_path)
-
-
-def test_a_folder_of_the_user_s_is_left_alone(finished_run: Path, tmp_path: Path):
     (tmp_path / "notes.txt").write_text("mine")
     done = deepgps_here("export", str(finished_run), "--tum", "--out", ".", cwd=tmp_path)
     assert done.returncode == 2 and "is neither empty nor a export folder of deepgps" in done.stderr

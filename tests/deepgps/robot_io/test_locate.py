@@ -56,23 +56,24 @@ def test_causes_are_named_if_asked_for(run: deepgps.Run, folder: Path):
     assert {line["cause"] for line in lines if line["accepted"]} <= {None, "black"}
 
 
-@pytest.mark.parametrize(("method", "place"), [("deepgps", "map"), ("posenet", "world")])
-def test_lines_are_the_poses_that_python_gives(
-    run: deepgps.Run, folder: Path, method: str, place: deepgps.api.run.Frame
-):
-    done = deepgps_here("locate", str(run.folder), ".", "--method", method, "--frame", place, cwd=folder)
-    assert done.returncode == 0, done.stderr
-    lines = [json.loads(line) for line in done.stdout.splitlines()]
-    assert [set(line) for line in lines] == [KEYS] * 3
-    assert [(line["image"], line["frame"]) for line in lines] == [(f"{number}.png", place) for number in range(3)]
-    for number, line in enumerate(lines):
-        pose = run.pose(run.recording.observation[number], method, place)
-        np.testing.assert_allclose([line["x"], line["y"]], pose.position, atol=1e-5)
-        np.testing.assert_allclose(
-            np.nan if line["yaw"] is None else line["yaw"], np.asarray(pose.yaw, float), atol=1e-5
-        )
-        assert (line["radius_95"] is None) == (pose.radius_95 is None)
-        assert line["accepted"] in ({None} if pose.accepted is None else {bool(pose.accepted)})
+def test_lines_are_the_poses_that_python_gives(run: deepgps.Run, folder: Path):
+    (folder / "nonsense.png").write_bytes(encode(np.zeros((9, 12, 3), np.uint8)))
+    places: tuple[tuple[str, deepgps.api.run.Frame], ...] = (("deepgps", "map"), ("posenet", "world"))
+    for method, place in places:
+        done = deepgps_here("locate", str(run.folder), ".", "--method", method, "--frame", place, cwd=folder)
+        said = "failed: 1 of 4 images could not be located; their lines say why\n"
+        assert (done.returncode, done.stderr) == (1, said)
+        *lines, wrong = (json.loads(line) for line in done.stdout.splitlines())
+        assert set(wrong) == {"image", "error"} and "it has 12 x 9 px: " in wrong["error"]
+        assert [set(line) for line in lines] == [KEYS] * 3
+        assert [(line["image"], line["frame"]) for line in lines] == [(f"{number}.png", place) for number in range(3)]
+        for number, line in enumerate(lines):
+            pose = run.pose(run.recording.observation[number], method, place)
+            np.testing.assert_allclose([line["x"], line["y"]], pose.position, atol=1e-5)
+            yaw = np.nan if line["yaw"] is None else line["yaw"]
+            np.testing.assert_allclose(yaw, np.asarray(pose.yaw, float), atol=1e-5)
+            assert (line["radius_95"] is None) == (pose.radius_95 is None)
+            assert line["accepted"] in ({None} if pose.accepted is None else {bool(pose.accepted)})
 
 
 def test_standard_input_is_read_image_by_image(run: deepgps.Run, folder: Path, monkeypatch: pytest.MonkeyPatch):
@@ -105,9 +106,6 @@ def test_an_image_is_answered_before_the_next_one_is_read():
     pictures = read_stream(Slow(frame(picture, picture)))
     assert next(pictures).image is not None
     assert read == [4, len(picture)]
-
-
-def test_a_length_that_cannot_be_right_ends_the_work():
     for length in (0, LARGEST_BYTES + 1):
         with pytest.raises(InputError, match=f"standard input: image 0 has a length of {length} bytes; must be 1 to"):
             next(read_stream(io.BytesIO(length.to_bytes(4, "big") + b"more")))
@@ -152,22 +150,10 @@ def test_wrong_words_are_refused(run: deepgps.Run, tmp_path: Path):
     assert [path.name for path in tmp_path.iterdir()] == ["empty"]
 
 
-def test_what_is_no_image_is_named_and_the_rest_is_located(run: deepgps.Run, folder: Path):
-    (folder / "1.png").write_bytes(encode(np.zeros((9, 12, 3), np.uint8)))
-    done = deepgps_here("locate", str(run.folder), ".", cwd=folder)
-    assert (done.returncode, done.stderr) == (1, "failed: 1 of 3 images could not be located; their lines say why\n")
-    first, wrong, last = (json.loads(line) for line in done.stdout.splitlines())
-    assert set(wrong) == {"image", "error"} and "it has 12 x 9 px: " in wrong["error"]
-    assert set(first) == set(last) == KEYS
-
-
-def test_scans_have_no_images_to_locate(tmp_path: Path):
+def test_scans_have_no_images_to_locate_and_a_folder_is_no_image(tmp_path: Path):
     make_toy(tmp_path / "recording", samples=60)
     with pytest.raises(InputError, match="has learned from observations of kind vector"):
         find_shape(SimpleNamespace(folder=tmp_path))  # pyright: ignore[reportArgumentType]
-
-
-def test_a_file_that_cannot_be_read_says_why(tmp_path: Path):
     (tmp_path / "a.png").mkdir()
     (picture,) = open_pictures(str(tmp_path), io.BytesIO())
     assert picture.image is None and picture.error == "a.png is a folder, not a file"

@@ -1,5 +1,6 @@
 """Angles of coarse encoders: close to the true ones between counts, and logs of such robots become right recordings."""
 
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -35,26 +36,20 @@ def make_wheels(ticks: int, period_s: float, rounding: Any = np.floor) -> tuple[
     return Wheels(time_s, rounding(true / tick) * tick, none, none), true
 
 
-@pytest.mark.parametrize("rounding", [np.floor, np.rint])
-@pytest.mark.parametrize("period_s", [0.02, 0.05])
-@pytest.mark.parametrize("ticks", [8, 16, 32])
-def test_angles_between_counts_are_closer_to_the_true_ones(ticks: int, period_s: float, rounding: Any):
-    wheels, true = make_wheels(ticks, period_s, rounding)
-    filled = fill_counts(wheels, "wheels").angle
-    before, after = (one - true - np.median(one - true, axis=0) for one in (wheels.angle, filled))
-    assert np.abs(after).max() <= 2 * np.pi / ticks
-    turning = np.abs(np.gradient(true, period_s, axis=0)) > 3.0  # rad/s
-    assert np.std(after[turning]) < 0.6 * np.std(before[turning])
+def test_angles_between_counts_are_closer_to_the_true_ones():
+    for ticks, period_s, rounding in product((8, 16, 32), (0.02, 0.05), (np.floor, np.rint)):
+        wheels, true = make_wheels(ticks, period_s, rounding)
+        filled = fill_counts(wheels, "wheels").angle
+        before, after = (one - true - np.median(one - true, axis=0) for one in (wheels.angle, filled))
+        assert np.abs(after).max() <= 2 * np.pi / ticks
+        turning = np.abs(np.gradient(true, period_s, axis=0)) > 3.0  # rad/s
+        assert np.std(after[turning]) < 0.6 * np.std(before[turning])
 
 
-@pytest.mark.parametrize("ticks", [1024, 4096])
-def test_fine_encoders_stay_as_they_are(ticks: int):
-    wheels, _ = make_wheels(ticks, 0.05)
-    np.testing.assert_array_equal(fill_counts(wheels, "wheels").angle, wheels.angle)
-
-
-def test_a_wheel_that_never_turns_stays_as_it_is():
-    wheels, _ = make_wheels(16, 0.05)
+def test_fine_encoders_and_wheels_that_never_turn_stay_as_they_are():
+    for ticks in (1024, 4096):
+        wheels, _ = make_wheels(ticks, 0.05)
+        np.testing.assert_array_equal(fill_counts(wheels, "wheels").angle, wheels.angle)
     still = Wheels(wheels.time_s, np.zeros_like(wheels.angle), wheels.broken, wheels.gap)
     assert not fill_counts(still, "wheels").angle.any()
 

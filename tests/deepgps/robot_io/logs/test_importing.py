@@ -1,7 +1,7 @@
 """Logs of a synthetic robot, in every container and with every fault, become right recordings or are refused."""
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -152,19 +152,16 @@ def test_a_plain_file_that_cannot_be_read_is_named_with_its_line(tmp_path: Path)
         assert not (tmp_path / "new").exists(), "a refused import leaves nothing"
 
 
-@pytest.mark.parametrize(("first", "without"), [(0, ()), (1, ()), (0, (7,))])
-def test_images_that_are_named_by_their_numbers_are_refused(first: int, without: Sequence[int], tmp_path: Path) -> None:
-    log = write_plain(tmp_path / "plain")
-    images = sorted((log / "images").iterdir(), key=lambda path: float(path.stem))
-    for number, path in enumerate(images, start=first):
-        if number in without:
-            path.unlink()
-        else:
-            path.rename(path.with_name(f"frame{number:06d}.png"))
-    for path in list((log / "images").iterdir()):
-        path.rename(path.with_name(path.name.removeprefix("frame")))
-    with pytest.raises(InputError, match=r"named by their numbers, 00000\d to 000\d+, which are no times"):
-        bring_in(log, tmp_path, PLAIN)
+def test_images_that_are_named_by_their_numbers_are_refused(tmp_path: Path) -> None:
+    for first, without in ((0, None), (1, None), (0, 7)):
+        log = write_plain(tmp_path / f"plain{first}{without}")
+        images = sorted((log / "images").iterdir(), key=lambda path: float(path.stem))
+        for number, path in enumerate(images, start=first):
+            path.rename(log / "images" / f"frame{number:06d}.png")
+        for number, path in enumerate(sorted((log / "images").iterdir()), start=first):
+            path.unlink() if number == without else path.rename(path.with_name(path.name.removeprefix("frame")))
+        with pytest.raises(InputError, match=r"named by their numbers, 00000\d to 000\d+, which are no times"):
+            bring_in(log, tmp_path, PLAIN)
 
 
 def rename_images(log: Path, name: Callable[[float], str]) -> None:
@@ -191,25 +188,29 @@ def times_of(path: Path) -> list[int]:
         return [sample.stamp_ns for sample, _ in log.read(list(log.types))]
 
 
-@pytest.mark.parametrize("unit", [1e3, 1e6, 1e9], ids=["ms", "us", "ns"])
-def test_times_of_plain_files_in_another_unit_are_refused_in_one_line(unit: float, tmp_path: Path) -> None:
-    def since_1970(time_s: float) -> str:
-        return str(round((1.7e9 + time_s) * unit))
+def test_times_of_plain_files_in_another_unit_are_refused_in_one_line(tmp_path: Path) -> None:
+    for unit in (1e3, 1e6, 1e9):
 
-    for table in ("wheels.csv", "poses.csv"):
-        log = write_plain(tmp_path / table)
-        change_table(log, table, since_1970)
-        with pytest.raises(InputError, match=rf"{table}: line 2: time_s '17\d+' must be seconds; is it in ms or ns"):
+        def since_1970(time_s: float, unit: float = unit) -> str:
+            return str(round((1.7e9 + time_s) * unit))
+
+        log = write_plain(tmp_path / f"{unit}")
+        for table in ("wheels.csv", "poses.csv"):
+            sound = (log / table).read_text()
+            change_table(log, table, since_1970)
+            with pytest.raises(InputError, match=rf"{table}: line 2: time_s '17\d+' must be seconds; is it in ms"):
+                times_of(log)
+            (log / table).write_text(sound)
+        list_images(log, since_1970)
+        with pytest.raises(InputError, match=r"images\.csv: line 2: time_s '17\d+' must be seconds; is it in ms or ns"):
             times_of(log)
-    list_images(log := write_plain(tmp_path / "listed"), since_1970)
-    with pytest.raises(InputError, match=r"images\.csv: line 2: time_s '17\d+' must be seconds; is it in ms or ns"):
-        times_of(log)
-    rename_images(log := write_plain(tmp_path / "named"), since_1970)
-    if unit == 1e9:
-        assert max(times_of(log)) > 1.7e18
-    else:
-        with pytest.raises(InputError, match=r"17\d+\.png: its name must be seconds, or nanoseconds since 1970, "):
-            times_of(log)
+        (log / "images.csv").unlink()
+        rename_images(log, since_1970)
+        if unit == 1e9:
+            assert max(times_of(log)) > 1.7e18
+        else:
+            with pytest.raises(InputError, match=r"17\d+\.png: its name must be seconds, or nanoseconds since 1970, "):
+                times_of(log)
 
 
 def test_names_may_be_nanoseconds_since_the_robot_started(tmp_path: Path) -> None:
@@ -370,7 +371,7 @@ BORNE: dict[str, tuple[Change, dict[str, Any], float, str]] = {
 """What a log's messages may be like: the change, settings, error of lengths [m], and what is noted."""
 
 
-@pytest.mark.parametrize("case", in_tiers(BORNE, "swapped", "partial", "zero stamps"))
+@pytest.mark.parametrize("case", in_tiers(BORNE, "partial", "zero stamps"))
 def test_habits_of_real_robots_change_nothing(case: str, notes: list[Note], tmp_path: Path) -> None:
     how, groups, within_m, note = BORNE[case]
     folder, about = bring_in(write_log(tmp_path / "log", how(notes), "mcap_lz4"), tmp_path, configure(**groups))
@@ -398,7 +399,7 @@ NOTED: dict[str, tuple[Change, dict[str, Any], str]] = {
 """What divides or spoils a drive: the change, settings, and what is noted."""
 
 
-@pytest.mark.parametrize("case", in_tiers(NOTED, "wheels lost", "clock set back"))
+@pytest.mark.parametrize("case", in_tiers(NOTED, "wheels lost"))
 def test_what_spoils_a_drive_is_noted_and_lengths_are_right(case: str, notes: list[Note], tmp_path: Path) -> None:
     how, groups, note = NOTED[case]
     folder, about = bring_in(write_log(tmp_path / "log", how(notes), "mcap_lz4"), tmp_path, configure(**groups))
@@ -412,11 +413,10 @@ def test_what_spoils_a_drive_is_noted_and_lengths_are_right(case: str, notes: li
 
 
 @slow
-def test_the_lag_is_measured_from_turns(notes: list[Note], tmp_path: Path) -> None:
+def test_the_lag_is_measured_from_turns_by_any_clock(notes: list[Note], tmp_path: Path) -> None:
     log = write_log(tmp_path / "log", notes, "mcap_lz4")
     _, about = bring_in(log, tmp_path, configure(**ESTIMATED))
-    assert abs(about["lag_s"] - 0.05) <= 0.008
-    assert not any("do not turn" in note for note in about["notes"])
+    assert abs(about["lag_s"] - 0.05) <= 0.008 and not any("do not turn" in note for note in about["notes"])
     late = write_log(tmp_path / "late", change(notes, CAMERA, late_images), "mcap_lz4")
     _, about = bring_in(late, tmp_path / "aligned", configure(clocks="align", **ESTIMATED))
     assert abs(about["lag_s"] - 0.043) < 0.008  # images are logged 10 ms after their stamps, wheels 3 ms
@@ -448,12 +448,6 @@ def test_a_robot_that_drove_backward_more_than_forward_is_noted(notes: list[Note
     assert note == f"{JOINTS}: the robot drove {metres}: do both wheels count forward?"
 
 
-def test_a_bag_of_a_killed_recorder_says_how_it_is_read(tmp_path: Path) -> None:
-    (tmp_path / "log.bag.active").write_bytes(b"#ROSBAG V2.0\n")
-    with pytest.raises(InputError, match=r"a killed recorder left this one: copy it without \.active"):
-        bring_in(tmp_path / "log.bag.active", tmp_path)
-
-
 @slow
 def test_an_odometry_can_take_the_place_of_joints(tmp_path: Path) -> None:
     log = write_log(tmp_path / "log", make_notes("image/jpeg", odometry=True), "mcap_lz4")
@@ -479,14 +473,6 @@ def test_an_odometry_without_orientation_is_noted(tmp_path: Path) -> None:
 
 
 @slow
-def test_poses_may_be_labels_instead_of_truth(notes: list[Note], tmp_path: Path) -> None:
-    log = write_log(tmp_path / "log", notes, "mcap_lz4")
-    folder, _ = bring_in(log, tmp_path, configure(pose={"use": "labels"}))
-    labels = open_labels(folder)
-    assert not has_truth(folder) and labels is not None and np.isfinite(labels.pose).all()
-
-
-@slow
 def test_without_poses_there_is_no_truth_and_with_them_segments_are_held_out(notes: list[Note], tmp_path: Path) -> None:
     log = write_log(tmp_path / "log", notes, "mcap_lz4")
     folder, about = bring_in(log, tmp_path, configure(pose=None, drive={"held_out": 0.3}))
@@ -496,6 +482,9 @@ def test_without_poses_there_is_no_truth_and_with_them_segments_are_held_out(not
     assert len(held_out.observation) == about["held_out"] > 5 and held_out.turns is not None
     assert held_out.turns.image.tolist() == [0]
     assert about["images_used"] == sum(map(count_images, (kept, held_out)))
+    labelled, _ = bring_in(log, tmp_path / "labelled", configure(pose={"use": "labels"}))
+    labels = open_labels(labelled)
+    assert not has_truth(labelled) and labels is not None and np.isfinite(labels.pose).all()
     few, _ = bring_in(log, tmp_path / "few", configure(pose=None, drive={"held_out": 0.01}))
     assert open_recording(few / "use").manifest.segments == 1, "errors could not be measured without"
     folder, about = bring_in(log, tmp_path / "again", configure(drive={"held_out": 0.3}))
@@ -558,7 +547,7 @@ def check_refused(how: Change, message: str, notes: list[Note], folder: Path) ->
     assert [path.name for path in folder.iterdir()] == ["log.mcap"]
 
 
-@pytest.mark.parametrize("case", REFUSED)
+@pytest.mark.parametrize("case", in_tiers(REFUSED, "model", "no camera", "joints", "few"))
 def test_what_cannot_be_used_is_refused_in_one_line(case: str, notes: list[Note], tmp_path: Path) -> None:
     check_refused(*REFUSED[case], notes, tmp_path)
 
@@ -581,6 +570,7 @@ def test_strange_files_are_refused(tmp_path: Path) -> None:
         ("a.txt", b"x", "a log is a .bag, .mcap or .db3 file, or a folder"),
         ("a.mcap", b"no log at all", "cannot be read as a log: File magic is invalid"),
         ("a.bag", b"", "cannot be read as a log: "),
+        ("log.bag.active", b"#ROSBAG V2.0\n", r"a killed recorder left this one: copy it without \.active"),
         ("a.db3", b"SQLite format 3\0" + b"\1" * 200, "cut off so early that it names no topic"),
     ):
         (tmp_path / name).write_bytes(data)

@@ -30,11 +30,8 @@ def turn(yaw: float, lean: float, length: float) -> SimpleNamespace:
 @given(st.floats(-3.1, 3.1), st.floats(-1.5, 1.5), st.floats(1e-5, 1e200))
 def test_a_quaternion_of_any_length_gives_the_yaw(yaw: float, lean: float, length: float) -> None:
     assert abs(wrap(read_yaw(turn(yaw, lean, length)) - yaw)) < 1e-6
-
-
-@pytest.mark.parametrize("length", [0.0, 1e-9, math.nan, math.inf])
-def test_a_quaternion_without_a_direction_gives_no_yaw(length: float) -> None:
-    assert math.isnan(read_yaw(turn(0.5, 0.0, length)))
+    for nothing in (0.0, 1e-9, math.nan, math.inf):
+        assert math.isnan(read_yaw(turn(0.5, 0.0, nothing)))
 
 
 def without_orientation(every: int) -> Callable[[int, Note], Note]:
