@@ -195,17 +195,9 @@ def _take(values: Any, axes: int, name: str, kind: ObservationKind) -> np.ndarra
 def _take_readings(
     readings: Any, time: Any, observations: int, odometry: Mapping[str, Any]
 ) -> tuple[np.ndarray, np.ndarray]:
-    reading = np.asarray(readings)
-    if reading.ndim != 2 or reading.shape[1] != 4 or reading.dtype.kind not in "ui" or not len(reading):
-        raise InputError(f"readings {reading.shape} {reading.dtype}: must be (R, 4) int, with at least one reading")
-    reading = reading.astype(np.int64)
-    seconds = _shaped(time, (len(reading),), "time")
-    if not np.isfinite(seconds).all():
-        raise InputError("time: must be finite [s]")
-    if reading[:, 1].min() < 0 or reading[:, 1].max() >= observations:
-        raise InputError(f"readings: the second column must be an observation from 0 to {observations - 1}")
+    reading, seconds = np.asarray(readings), np.asarray(time, float)
     check_readings(reading, seconds, observations, check_odometry(odometry))
-    return reading, seconds
+    return reading.astype(np.int64), seconds
 
 
 def _take_tests(values: Any, observation: np.ndarray, axes: int) -> np.ndarray:
@@ -238,7 +230,6 @@ def _shaped(values: Any, shape: tuple[int, ...], name: str) -> np.ndarray:
 def _take_turns(
     turns: Any, turn_observations: Any, observation: np.ndarray, reading: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Turns (T, 4) and the observations after them (K, ...); None: nothing is known of them."""
     if turns is None:
         if turn_observations is not None:
             raise InputError("turn_observations need turns, which say where each was taken")
@@ -254,7 +245,6 @@ def _take_turns(
 def _describe(
     kind: ObservationKind, test: np.ndarray, camera: CameraSettings | None, observation: np.ndarray
 ) -> dict[str, Any]:
-    """The settings with which a scenario describes such a recording; raises InputError where none can."""
     settings = dict(SETTINGS[kind])
     if kind != "vector" and len(test):
         settings["grid"] = {"held_out": len(test)}  # test positions need not form a grid
@@ -278,7 +268,6 @@ def _take_truth(
     observation: np.ndarray,
     test: np.ndarray,
 ) -> Truth | None:
-    """The truth in the form in which a recording holds it; None: it is not known."""
     if pose is None:
         if test_pose is not None or space is not None:
             raise InputError("pose: test_pose and free_space need the true pose of each observation as well")

@@ -226,14 +226,12 @@ class Run:
 
     @cached_property
     def _kind(self) -> ObservationKind:
-        """Kind of the observations that methods learn from."""
         kind = read_manifest(self.folder / "recording").kind
         if kind is None:
             raise InputError(f"{self.folder / 'recording'} names no sensor")
         return kind
 
     def _as_recorded(self, observations: np.ndarray) -> np.ndarray:
-        """Observations of the type that a recording holds."""
         array = np.asarray(observations)
         if self._kind != "polar_image":
             return array.astype(np.float32)
@@ -243,7 +241,6 @@ class Run:
 
     @cached_property
     def _positioners(self) -> "dict[str, Positioner]":
-        """The methods that have been loaded so far."""
         return {}
 
     def positioner(self, method: str | None = None) -> "Positioner":

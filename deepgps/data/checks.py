@@ -62,22 +62,22 @@ def check_readings(reading: np.ndarray, time: np.ndarray, observations: int, odo
         odometry: The manifest's odometry constants.
     """
     if reading.ndim != 2 or reading.shape[1] != 4 or not len(reading):
-        raise InputError(f"reading.npy has the shape {reading.shape}, but must have rows of 4 numbers")
-    for name, array, kinds in (("reading.npy", reading, "iu"), ("time.npy", time, "iuf")):
+        raise InputError(f"readings {reading.shape}: must have rows of 4 numbers, at least one")
+    for name, array, kinds in (("readings", reading, "iu"), ("time", time, "iuf")):
         if array.dtype.kind not in kinds:
-            raise InputError(f"{name} holds {array.dtype}, but must hold {'integers' if kinds == 'iu' else 'numbers'}")
+            raise InputError(f"{name} {array.dtype}: must be {'integers' if kinds == 'iu' else 'numbers'}")
     if time.shape != reading.shape[:1]:
-        raise InputError(f"time.npy has the shape {time.shape}, but reading.npy has {len(reading)} readings")
+        raise InputError(f"time {time.shape}: must have the shape {reading.shape[:1]}, one for each of the readings")
     gap, seconds = np.diff(reading.astype(np.int64), axis=0), np.diff(time.astype(float))
     for name, wrong in (
-        ("time.npy holds no number, or does not increase, at", ~(seconds > 0)),
-        ("reading.npy: the segment decreases at", gap[:, 0] < 0),
-        ("reading.npy: the observation decreases at", gap[:, 1] < 0),
+        ("time: no number, or no increase, at", ~(seconds > 0)),
+        ("readings: the segment decreases at", gap[:, 0] < 0),
+        ("readings: the observation decreases at", gap[:, 1] < 0),
     ):
         if wrong.any():
             raise InputError(f"{name} reading {int(wrong.argmax()) + 1}")
     if reading[0, 1] < 0 or reading[-1, 1] >= observations:
-        raise InputError(f"reading.npy: the observations must be numbers from 0 to {observations - 1}")
+        raise InputError(f"readings: the observations must be numbers from 0 to {observations - 1}")
     _check_ticks(np.diff(count_from_first(reading[:, 2:]), axis=0), seconds, gap[:, 0] == 0, measure_tick(odometry))
 
 
@@ -108,12 +108,12 @@ def _check_ticks(gap: np.ndarray, seconds: np.ndarray, inside: np.ndarray, tick_
     if (speed_mps > FASTEST_MPS).any():
         row = int(speed_mps.argmax())
         raise InputError(
-            f"reading.npy, time.npy: a wheel drives {speed_mps[row]:.3g} m/s before reading {row + 1}, but at most "
+            f"readings, time: a wheel drives {speed_mps[row]:.3g} m/s before reading {row + 1}, but at most "
             f"{FASTEST_MPS:g} m/s is believed; ticks, times or the manifest's odometry are wrong"
         )
     turned = (gap[inside] != 0).sum(axis=0)
     for name, own, other in (("left", *turned), ("right", *turned[::-1])):
         if own == 0 and other >= MIN_GAPS:
             raise InputError(
-                f"reading.npy: the {name} wheel never counts on a segment, while the other does {other} times"
+                f"readings: the {name} wheel never counts on a segment, while the other does {other} times"
             )

@@ -57,12 +57,7 @@ class Features:
     values: PixelValues = "pixels"
 
     def apply(self, observation: np.ndarray, heading: int = 0) -> torch.Tensor:
-        """Features (N, components) float32 of observations.
-
-        Args:
-            observation: (N, rings, sectors, 3) uint8, (N, headings, rays) float or (N, M) float.
-            heading: Index of the scans' heading to use.
-        """
+        """Features (N, components) float32 of observations as ``describe`` takes them, of scans at one heading."""
         check_shape(observation, self.shape)
         found = torch.empty((len(observation), self.basis.shape[1]))
         for start in range(0, len(observation), CHUNK):
@@ -85,7 +80,7 @@ def describe(
     heading: int = 0,
     values: PixelValues = "pixels",
 ) -> torch.Tensor:
-    """Heading-invariant description of each observation; vectors are returned unchanged.
+    """Heading-invariant description (N, K) float32 of each observation; vectors are returned unchanged.
 
     Args:
         observation: Polar images (N, rings, sectors, colours) uint8, scans (N, headings, rays) or vectors (N, M).
@@ -93,9 +88,6 @@ def describe(
         edges: Edges of the rings that scans are drawn as (rings + 1,) [m].
         heading: Index of the scans' heading to use.
         values: ranks: each pixel counts by its rank within its image, and not by its value.
-
-    Returns:
-        float32 (N, K).
 
     Raises:
         InputError: The observations have any other shape.
@@ -188,12 +180,9 @@ def fit_features(
 
 
 def normalise(observation: np.ndarray) -> tuple[Features, torch.Tensor]:
-    """Features of vectors (N, M): each component is centred, and all are scaled together to a mean square of 1.
+    """Features of vectors (N, M), and their projection: each component is centred, all have a mean square of 1.
 
     Distances to landmarks change slowly along the drive, and not at all when the robot turns: no selection is needed.
-
-    Returns:
-        The projection and the observations' features (N, M).
     """
     described = describe(observation, 0)
     mean = described.mean(dim=0)
@@ -276,17 +265,12 @@ def solve_generalised(a: torch.Tensor, b: torch.Tensor) -> tuple[torch.Tensor, t
 
 
 def rank_values(image: torch.Tensor) -> torch.Tensor:
-    """Replace each value of an image by the share of its values, of all colours, that are darker.
+    """Replace each value (N, ...) uint8 of an image by the share of its values, of all colours, that are darker.
 
-    Equal values share the mean of their ranks. Light, exposure and gamma change what a pixel's value is, and rarely
-    which of two pixels is brighter. This is histogram equalisation (Hummel, "Image enhancement by histogram
-    transformation", Computer Graphics and Image Processing 6(2), 1977).
-
-    Args:
-        image: Pixel values (N, ...) uint8.
-
-    Returns:
-        float32 of the same shape, between 0 and 255; the mean of each image is 127.5.
+    Equal values share the mean of their ranks; the result is float32 between 0 and 255, with a mean of 127.5. Light,
+    exposure and gamma change what a pixel's value is, and rarely which of two pixels is brighter. This is histogram
+    equalisation (Hummel, "Image enhancement by histogram transformation", Computer Graphics and Image Processing 6(2),
+    1977).
     """
     flat = image.flatten(1)
     count, size = flat.shape

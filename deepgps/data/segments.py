@@ -199,15 +199,9 @@ def find_runs(recording: Recording) -> list[np.ndarray]:
 
 
 def subsample(segments: Segments, observations: int, most: int = MOST_FITTED) -> tuple[Segments, torch.Tensor]:
-    """Choose complete segments spread evenly over a drive; all of them if there are at most ``most`` observations.
+    """Choose complete segments spread evenly over a drive; all if there are at most ``most`` observations.
 
-    Args:
-        segments: All segments.
-        observations: Number of observations in the recording.
-        most: Largest number of observations to keep.
-
-    Returns:
-        The segments kept, with their observations renumbered, and the original numbers of these (n,) int64.
+    Their observations are renumbered; the original numbers of these (n,) int64 are returned too.
     """
     if observations <= most:
         return segments, torch.arange(observations)

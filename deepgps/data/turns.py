@@ -114,7 +114,6 @@ def compare_images(recording: Recording, turns: Turns | None = None, trained: Up
 
 
 def _find_lean(hypotheses: Hypotheses) -> np.ndarray:
-    """Lean (2,) [rad]; zero where no turn shows it."""
     return np.nan_to_num(find_lean(hypotheses))
 
 
@@ -130,13 +129,8 @@ def ignore_small(upright: Upright) -> Upright:
 def adapt_upright(trained: Upright, drive: Recording) -> tuple[Upright, tuple[float, float] | None]:
     """What sets the images of a drive in use upright, whose camera may have been knocked since training.
 
-    Args:
-        trained: What does in training.
-        drive: The drive in use.
-
-    Returns:
-        That of training unless the lean has changed by more than ``LEAST_RAD``, and the lean in use (2,) [rad]; None
-        where the drive has fewer than ``LAST_TURNS`` turns in place.
+    That of training, unless the lean has changed by more than ``LEAST_RAD``; and the lean in use (2,) [rad], None where
+    the drive has fewer than ``LAST_TURNS`` turns in place.
     """
     turns = turns_with_images(drive)
     if turns is None or len(last := find_in_place(turns)[-LAST_TURNS:]) < LAST_TURNS:
@@ -284,13 +278,7 @@ class Headings:
 
 
 def compare_headings(images: np.ndarray, first: np.ndarray, second: np.ndarray) -> Headings:
-    """Compare the headings of pairs of polar images.
-
-    Args:
-        images: Polar images (N, rings, sectors, channels).
-        first: Numbers of the first images (n,).
-        second: Numbers of the second images (n,).
-    """
+    """Compare the headings of pairs (n,), (n,) of polar images (N, rings, sectors, channels)."""
     seen, place = np.unique(np.concatenate([first, second]), return_inverse=True)
     waves = _describe_all(images, seen)
     one, other = place[: len(first)], place[len(first) :]
@@ -304,11 +292,8 @@ def compare_headings(images: np.ndarray, first: np.ndarray, second: np.ndarray) 
 def measure_curvature(images: np.ndarray, segments: Segments) -> float:
     """Measure the curvature of what the robot drives for straight, to the left [1 / m]; right to about 0.01.
 
-    What the robot passes on its left and right turns single pairs of images, and the mean hardly.
-
-    Args:
-        images: Polar images (N, rings, sectors, channels).
-        segments: Segments through them; their first readings may have been taken before a turn and do not count.
+    What the robot passes on its left and right turns single pairs of polar images (N, ...), and the mean hardly. The
+    first readings of segments may have been taken before a turn and do not count.
     """
     valid = segments.valid.numpy()[:, 2:]
     index, distance = segments.index.numpy()[:, 1:], segments.distance.numpy()[:, 1:]

@@ -1,4 +1,1 @@
-"""The initial map: positions from feature similarity and distances travelled, before any network is trained.
-
-Nothing here opens the ground truth or trains a network.
-"""
+"""The initial map: positions from feature similarity and distances, before any network is trained, without truth."""

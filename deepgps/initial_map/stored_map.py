@@ -64,14 +64,7 @@ class StoredMap:
 
 
 def write_map(folder: Path, found: CompassMap, segments: Segments, turns: CompassTurns) -> None:
-    """Write a map into a method's folder.
-
-    Args:
-        folder: The method's folder.
-        found: The map.
-        segments: The segments that it was made of.
-        turns: The turns between these.
-    """
+    """Write a map of these segments and the turns between them into a method's folder."""
     samples = found.error.shape[2]
     rows = np.arange(len(segments.count))
     last = segments.index.numpy()[rows, segments.count.numpy() - 1]
@@ -95,11 +88,7 @@ def write_map(folder: Path, found: CompassMap, segments: Segments, turns: Compas
 
 
 def read_map(folder: Path) -> StoredMap | None:
-    """Read the map of a method's folder; None: it has none, as other methods.
-
-    Raises:
-        DamagedError: It is truncated or changed.
-    """
+    """Read the map of a method's folder; None: it has none, as other methods. Raises DamagedError if it is damaged."""
     path = folder / FILE
     if not path.is_file():
         return None

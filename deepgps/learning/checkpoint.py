@@ -49,10 +49,8 @@ def load_checkpoint(
 ) -> tuple[int, float]:
     """Restore a training in place and return the steps done and their seconds, zeros if there is no checkpoint.
 
-    A damaged checkpoint is removed, and training starts from its first step.
-
-    Raises:
-        InputError: The checkpoint was made by a training of another network, or on another kind of device.
+    A damaged checkpoint is removed, and training starts from its first step. Raises InputError if it is that of another
+    network, or was made on another kind of device.
     """
     path = folder / NAME
     if not path.is_file():

@@ -136,13 +136,10 @@ IMITATE = 0.2
 
 
 def imitate_first(loss: Loss, known: torch.Tensor, slack_m: float, weight: float = 1.0) -> Loss:
-    """Pull predictions towards an initial map: all of them at first, later only those farther than ``slack_m`` from it.
+    """Pull predictions towards an initial map (N, 2) [m], whose error is about ``slack_m``; NaN: not on the map.
 
-    Args:
-        loss: The loss that takes over gradually during the first ``IMITATE`` of the steps.
-        known: Initial map (N, 2) [m]; NaN for observations that are not on it.
-        slack_m: Approximate error of the initial map [m].
-        weight: Weight of that later pull beside the loss.
+    At first all are pulled, while the loss takes over during the first ``IMITATE`` of the steps; later, with this
+    weight, only those farther from the map than ``slack_m`` [m].
     """
     mapped = known.isfinite().all(dim=1)
     known = known.where(mapped[:, None], 0.0)
@@ -159,12 +156,7 @@ def imitate_first(loss: Loss, known: torch.Tensor, slack_m: float, weight: float
 
 
 def sample_mapped_first(draw: Draw, sample_mapped: Draw) -> Draw:
-    """Draw batches of mapped segments while the initial map is imitated, and of all segments afterwards.
-
-    Args:
-        draw: Draws batches of all segments.
-        sample_mapped: Draws batches of the segments on the map.
-    """
+    """Draw batches of mapped segments while the initial map is imitated, and of all segments afterwards."""
 
     def draw_in_turn(generator: torch.Generator, done: float) -> Batch:
         return (draw if done >= IMITATE else sample_mapped)(generator, done)

@@ -129,13 +129,10 @@ def pad(x: torch.Tensor, width: int, padding: Padding) -> torch.Tensor:
 
 
 def make_network(settings: NetworkSettings, inputs: int, outputs: int, generator: torch.Generator) -> nn.Module:
-    """Build a network and draw its weights from ``generator`` alone.
+    """Build a network and draw its weights from ``generator`` (on the CPU) alone.
 
-    Args:
-        settings: Which network.
-        inputs: Features of one observation; unused by the ResNets, which take images.
-        outputs: Numbers predicted.
-        generator: A CPU generator.
+    ``inputs`` is the number of features of one observation, unused by the ResNets, which take images; ``outputs`` that
+    of the numbers predicted.
     """
     with torch.device("meta"):
         network = (

@@ -124,7 +124,6 @@ class ReplayedStep:
             group["lr"] = torch.zeros((), device=device)
 
     def _forget(self) -> None:
-        """Begin again with plain steps, for arguments of shapes that are not known yet."""
         self.graph: torch.cuda.CUDAGraph | None = None
         self.plain, self.shapes = PLAIN_STEPS, list[torch.Size]()
         for group in self.optimiser.param_groups:
@@ -149,7 +148,6 @@ class ReplayedStep:
             return self.value
 
     def _take_plainly(self, inputs: torch.Tensor, batch: Batch, done: torch.Tensor) -> torch.Tensor:
-        """Take a step on the stream on which it will be recorded."""
         self.stream.wait_stream(torch.cuda.current_stream())
         with torch.cuda.stream(self.stream):
             value = self.step(inputs, batch, done)
@@ -159,7 +157,6 @@ class ReplayedStep:
     def _record(
         self, inputs: torch.Tensor, batch: Batch, done: torch.Tensor
     ) -> tuple[torch.cuda.CUDAGraph, list[torch.Tensor], torch.Tensor]:
-        """Record a step without taking it: the graph, what it reads, and the loss that it writes."""
         for group in self.optimiser.param_groups:
             group["capturable"] = True
         tensors = {name: one.clone() for name, one in vars(batch).items() if one is not None}
@@ -233,14 +230,14 @@ def train(
         every = max(1, settings.steps // LOSS_POINTS)
         for step in range(done, settings.steps):
             if step in history.snapshot_steps:
-                history.add_snapshot(step, predict(network, inputs, history.index))
+                history.add(snapshot_step=step, snapshot=predict(network, inputs, history.index))
             set_rate(optimiser, settings.learning_rate * schedule(step, settings.steps))
             batch = draw(generator, step / settings.steps)
             taken = inputs.take(batch.index.flatten(), generator)
             running += take_step(taken, batch, fraction.fill_(step / settings.steps))
             if (step + 1) % every == 0:
                 _check_finite(running, step + 1, settings)
-                history.add_loss(step + 1, running.item() / every)
+                history.add(step=step + 1, loss=running.item() / every)
                 running.zero_()
                 progress(label, step + 1, settings.steps, history.tables)
             # A checkpoint falls on a loss point, so that the running mean need not be saved.
@@ -249,7 +246,7 @@ def train(
                 save_checkpoint(folder, step + 1, network, optimiser, generator, history.arrays, seconds)
         last = predict(network, inputs, history.index)
         _check_finite(last, settings.steps, settings)
-        history.add_snapshot(settings.steps, last)
+        history.add(snapshot_step=settings.steps, snapshot=last)
         write_arrays(folder / "history.npz", history.tables())
         network.eval()
         return seconds
@@ -313,15 +310,10 @@ class History:
         at = frozenset(round(steps * k / (snapshots - 1)) for k in range(snapshots - 1))
         return cls(index, at, {"step": [], "loss": [], "snapshot_step": [], "snapshot": []})
 
-    def add_loss(self, step: int, value: float) -> None:
-        """Record the mean loss up to a step."""
-        self.arrays["step"].append(step)
-        self.arrays["loss"].append(value)
-
-    def add_snapshot(self, step: int, predictions: torch.Tensor) -> None:
-        """Record the predictions before a step."""
-        self.arrays["snapshot_step"].append(step)
-        self.arrays["snapshot"].append(predictions)
+    def add(self, **entries: float | torch.Tensor) -> None:
+        """Record a step and the mean loss up to it, or a step and the predictions before it."""
+        for name, entry in entries.items():
+            self.arrays[name].append(entry)
 
     def tables(self) -> dict[str, np.ndarray]:
         """The history as arrays; snapshots of lifted predictions are projected onto their two principal axes."""

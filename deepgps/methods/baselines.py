@@ -38,18 +38,9 @@ def fit_positions(
     folder: Path,
     progress: Report,
 ) -> Fitted:
-    """Train on labelled observations with the paper's Eq. 1, the distance between prediction and label.
+    """Train on observations (n,) labelled with positions (n, 2) [m] by the paper's Eq. 1, the distance between both.
 
     Observations on held-out segments are not learned from.
-
-    Args:
-        data: The network's input.
-        index: Labelled observations (n,).
-        label: Their positions (n, 2) [m].
-        settings: Network and training.
-        seed: Seed of weights and batches.
-        folder: The method's folder, for its checkpoint.
-        progress: Called with the steps done and their number.
     """
     index, label = leave_held_out(index, label, data.segments, len(data.features))
     # The mean of the labels is the origin, since an untrained network predicts near zero.
@@ -149,11 +140,9 @@ def draw_turns(count: int, possible: int, wanted: int, rng: np.random.Generator)
 
 
 def turn_scans(scans: np.ndarray, turns: np.ndarray) -> np.ndarray:
-    """Scans (n h, rays) [m] as seen after the robot has turned left.
+    """Scans (n h, rays) [m] as seen after the robot, which saw (n, headings, rays) [m], has turned left.
 
-    Args:
-        scans: Scans before the turns (n, headings, rays) [m].
-        turns: Turns (n, h), in units of the angle between two rays divided by the number of headings.
+    Turns (n, h) are in units of the angle between two rays divided by the number of headings.
     """
     _, headings, rays = scans.shape
     ray = (np.arange(rays) + turns[..., None] // headings) % rays

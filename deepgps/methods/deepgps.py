@@ -111,15 +111,10 @@ class Attempt:
 def train_until_unfolded(
     train_once: Callable[[int, Path], Attempt], restarts: int, folder: Path
 ) -> tuple[Attempt, list[Attempt]]:
-    """Train until a map shows no fold or no restart is left, and keep the history of the least folded attempt.
+    """Train until a map shows no fold or no restart is left; returns the least folded attempt, and all of them.
 
-    Args:
-        train_once: (number of the attempt, its folder) -> attempt.
-        restarts: Maximum number of trainings after the first one.
-        folder: The method's folder, which gets the history of the attempt that is chosen.
-
-    Returns:
-        The least folded attempt, and all attempts.
+    The method's folder gets the history of the attempt that is chosen. ``train_once`` takes an attempt's number and
+    folder.
     """
     attempts = []
     for number in range(restarts + 1):
@@ -157,16 +152,7 @@ def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, 
 def fit_data(
     data: TrainingData, variant: Variant, settings: LearnSettings, seed: int, folder: Path, progress: Report
 ) -> Fitted:
-    """Train a variant of DeepGPS until its map shows no fold, or no restart is left.
-
-    Args:
-        data: Segments, features and the network's input.
-        variant: Steps that differ from the paper's.
-        settings: How to learn.
-        seed: Seed of weights and batches.
-        folder: The method's folder, for checkpoints and the history.
-        progress: Called with the steps done and their number.
-    """
+    """Train a variant of DeepGPS, with this seed, until its map is unfolded or no restart is left."""
 
     def train_once(number: int, folder: Path) -> Attempt:
         return train_attempt(data, variant, settings, seed, number, folder, progress)
@@ -244,14 +230,8 @@ def record_undecided(undecided: np.ndarray) -> dict[str, Any]:
 def choose_start(settings: LearnSettings, segments: Segments, number: int = 0, any_length: bool = False) -> Start:
     """Choose the start of an attempt: ``auto`` is paths at first, where a map can be made, and else lifting.
 
-    Args:
-        settings: How to learn.
-        segments: What is learned from.
-        number: Number of the attempt, counted from 0.
-        any_length: Whether the first attempt's map can be made of segments with two readings each.
-
-    Raises:
-        InputError: The start is set to paths, and no map can be made.
+    ``any_length``: the first attempt's map can be made of segments with two readings each. Raises InputError if the
+    start is set to paths, and no map can be made.
     """
     enough = has_lines(segments) or (any_length and number == 0)
     if settings.start == "auto":

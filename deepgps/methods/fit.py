@@ -30,15 +30,7 @@ from sim.recording.format import Recording, observation_file
 def fit_method(
     name: str, recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report = ignore
 ) -> Positioner:
-    """Train a method into ``folder``; a finished training is loaded, and an interrupted one continues.
-
-    Args:
-        name: Name of the method, as in ``METHODS``.
-        recording: The recording that the method learns from.
-        settings: How the method learns.
-        seed: Seed of weights and batches.
-        folder: Where the method's files are written.
-        progress: Called with the steps done and their number.
+    """Train a method of this name into ``folder``; a finished training is loaded, and an interrupted one continues.
 
     Raises:
         InputError: The method cannot learn from these readings or observations.
@@ -85,12 +77,8 @@ def learn_confidence(
 ) -> Any:
     """The positioner with a table of confidence from its own map, if there are features of its observations.
 
-    Args:
-        positioner: Any method's.
-        recording: What it learned from.
-        mapped: The map from which its training started, if that is known with its errors.
-        undecided: Observations that may lie elsewhere on its map (N,) bool.
-        reads_ticks: Whether it learned from the encoders.
+    ``mapped`` is the map from which its training started, if that is known with its errors, ``undecided`` (N,) bool the
+    observations that may lie elsewhere on its map, and ``reads_ticks`` whether it learned from the encoders.
     """
     if not isinstance(positioner, FeaturePositioner):
         return positioner

@@ -187,8 +187,7 @@ def _as_look(history: Mapping[str, np.ndarray] | None) -> Look | None:
 
 
 def _start(ending: ExitStack) -> tuple[Connection, Popen[bytes]]:
-    """Start a process that waits for its training, and is killed in the end: every file is written atomically."""
-    pipe, end = Pipe()
+    pipe, end = Pipe()  # killed in the end: every file is written atomically
     code = "from deepgps.methods.train import work; work(int(sys.argv[1]))"
     process = start_process(code, [str(end.fileno())], [end.fileno()])
     end.close()

@@ -141,13 +141,10 @@ def find_normal_radius(probability: float | np.ndarray) -> np.ndarray:
 
 
 def make_table(features: np.ndarray, positions: np.ndarray, std: np.ndarray, rows: np.ndarray) -> Confidence:
-    """The table of the observations ``rows`` (n,) of N; it accepts everything, and its radii are unknown.
+    """The table of those observations ``rows`` (n,) of N that stand for their places; it accepts all.
 
-    Args:
-        features: Features of the images (N, K).
-        positions: Positions that the method predicts for them (N, 2) [m].
-        std: Standard deviation of the map at each of them, along one axis (N,) [m].
-        rows: Which of them may come into the table (n,).
+    Features are (N, K), predicted positions (N, 2) [m], and the map's standard deviation at each along one axis (N,)
+    [m].
     """
     entry = rows[thin_out(positions[rows], CELL_M)]
     known, place = features[entry, :COMPONENTS], positions[entry]

@@ -35,17 +35,13 @@ FAR, MOST_FITS, PRECISE_M = 3.5, 50, 1e-6
 
 
 def measure_bars(segments: Segments, positions: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-    """Distance of predictions from their segment as a bar with known spacing (N,) [m]; NaN where unknown.
+    """Distance of predictions (N, 2) from their held-out segment as a bar with known spacing (N,) [m]; NaN: unknown.
 
-    Place, heading and length of a bar, four unknowns, are fitted to 2 n coordinates, which hides a part of the error:
-    the root of (2 n - 4) / 2 n is divided out. All bars may be bent alike, as those of a robot that curves. Both fits
-    are robust, since a few images far off would spoil the errors of their whole bar. Distances along a bar contain the
-    encoders' errors too; where they are clearly larger than those across, they are scaled to these.
-
-    Args:
-        segments: The segments, of which those held out are measured.
-        positions: Predictions (N, 2) [m].
-        chosen: Predictions that count (N,) bool.
+    Only predictions that are ``chosen`` (N,) count. Place, heading and length of a bar, four unknowns, are fitted to 2
+    n coordinates, which hides a part of the error: the root of (2 n - 4) / 2 n is divided out. All bars may be bent
+    alike, as those of a robot that curves. Both fits are robust, since a few images far off would spoil the errors of
+    their whole bar. Distances along a bar contain the encoders' errors too; where they are clearly larger than those
+    across, they are scaled to these.
     """
     error = np.full(len(positions), np.nan)
     bars = list(_fit_bars(segments, positions, chosen))
@@ -60,14 +56,9 @@ def measure_bars(segments: Segments, positions: np.ndarray, chosen: np.ndarray) 
 
 
 def find_residuals(design: np.ndarray, values: np.ndarray, *others: np.ndarray) -> list[np.ndarray]:
-    """Residuals (n,) of a linear fit in which values far off hardly count, and of others with the same weights.
+    """Residuals (n,) [m] of a linear fit, and of ``others`` with the same weights; values far off hardly count.
 
-    Iteratively reweighted least squares with Geman and McClure's cost.
-
-    Args:
-        design: Known factors of the coefficients (n, k).
-        values: What is fitted (n,) [m].
-        others: More values (n,).
+    Iteratively reweighted least squares of ``design`` (n, k) with Geman and McClure's cost.
     """
     weight, missed = np.ones(len(design)), np.zeros(len(design))
     for _ in range(MOST_FITS):
@@ -134,10 +125,7 @@ class LeftOut(NamedTuple):
 def leave_segments_out(segments: Segments, features: np.ndarray, positions: np.ndarray) -> LeftOut | None:
     """Compare images with tables without the segments of their fold; None where no segment has others beside it.
 
-    Args:
-        segments: Segments of the drive.
-        features: Features of its images (N, K).
-        positions: Positions that the method predicts for them (N, 2) [m].
+    Their features are (N, K), and the positions that the method predicts for them (N, 2) [m].
     """
     novelty, guessed, error, std = [], [], [], np.zeros(len(positions))
     chosen = spread_evenly(len(positions)).numpy() < INTERPOLATED / max(1, len(positions))

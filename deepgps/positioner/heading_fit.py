@@ -45,11 +45,9 @@ class Lines:
 
 
 def make_headings(recording: Recording, positions: np.ndarray) -> HeadingTable | None:
-    """Make the table of headings; None where observations are no polar images or no segment shows a heading.
+    """Make the table of headings from a method's predictions (N, 2) [m] of all training images.
 
-    Args:
-        recording: The recording that the method has learned from.
-        positions: Positions that it predicts for all training images (N, 2) [m].
+    None where observations are no polar images or no segment shows a heading.
     """
     if recording.kind != "polar_image" or recording.observation.shape[2] < 8:
         return None
@@ -93,12 +91,10 @@ def make_headings(recording: Recording, positions: np.ndarray) -> HeadingTable |
 
 
 def _split(index: np.ndarray) -> list[np.ndarray]:
-    """Indices (n,) in chunks; none if there are none."""
     return np.array_split(index, -(-len(index) // CHUNK)) if len(index) else []
 
 
 def _show_direction(recording: Recording, index: np.ndarray) -> np.ndarray:
-    """Whether some images (n,) show any direction: a blank one shows none (n,) bool."""
     return np.asarray(np.abs(take_phases(recording.observation[index])).any(axis=(1, 2)))
 
 
@@ -136,7 +132,6 @@ def thin_out(place: np.ndarray, cell_m: float) -> np.ndarray:
 
 
 def _turn_to(phases: np.ndarray, entry: np.ndarray, around: np.ndarray) -> np.ndarray:
-    """Angle turned from entries (E,) to the images around them (E, M), as (E, M) [rad]."""
     return -correlate(phases[around], phases[entry])[0][..., 0]
 
 
@@ -146,13 +141,9 @@ def _refine(
     """Correction of the entries' headings (E,) [rad] and their parallax (E, 2) [rad / m].
 
     Least squares with Cauchy weights: off = correction + parallax . away, near a correction and a parallax of zero.
-
-    Args:
-        off: Heading by an image around it minus the entry's own (E, M) [rad].
-        away: Its place against the entry's (E, M, 2) [m].
-        std: Standard deviation of the heading of the image around (E, M) [rad].
-        own_std: That of the entry (E,) [rad].
-        near: Which images count (E, M).
+    ``off`` is the heading by an image around an entry minus the entry's own (E, M) [rad], ``away`` its place against
+    the entry's (E, M, 2) [m]; ``std`` (E, M) and ``own_std`` (E,) [rad] are those of the two headings, ``near`` which
+    images count.
     """
     rows = np.concatenate([np.ones((*off.shape, 1)), away], axis=2)
     prior = np.zeros((len(off), 3, 3))
@@ -171,7 +162,7 @@ def _refine(
 
 
 def _scale_std(table: HeadingTable, images: np.ndarray, place: np.ndarray, heading: np.ndarray) -> HeadingTable:
-    """The table with the factor by which errors exceed spreads on training images that are not in it."""
+    """Set the factor by which errors exceed spreads, on training images that are not in the table."""
     found = table.find(images, place)
     ratio = np.abs(wrap(found.yaw[:, 0] - heading)) / found.std[:, 0]
     ratio = ratio[np.isfinite(ratio)]

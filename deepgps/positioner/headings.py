@@ -108,12 +108,10 @@ class HeadingTable:
 
     @cached_property
     def _phases(self) -> np.ndarray:
-        """Coefficients (E, L, K) complex64 with a sum of squares of 1."""
         return _normalise(self.spectrum[..., 0] + 1j * self.spectrum[..., 1].astype(np.float32))
 
     @cached_property
     def _looks(self) -> tuple[np.ndarray, np.ndarray]:
-        """What of each entry no turn changes (E, L K), and its mean (L K,)."""
         return learn_looks(self._phases)
 
     def _find_nearest(self, positions: np.ndarray) -> np.ndarray:
@@ -194,15 +192,11 @@ def filter_frequencies(sectors: int) -> np.ndarray:
 
 
 def correlate(known: np.ndarray, phases: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The two highest peaks of the correlation of images with known ones.
-
-    Args:
-        known: Coefficients of known images (B, M, L, K).
-        phases: Coefficients of images (B, L, K).
+    """The two highest peaks of the correlation of images (B, L, K) with known ones (B, M, L, K), given as coefficients.
 
     Returns:
-        Angle by which the image's camera is turned to the left of the known one's (B, M, 2) [rad], and the
-        correlation there (B, M, 2), -1 where there is no second peak.
+        Angle by which the image's camera is turned to the left of the known one's (B, M, 2) [rad], and the correlation
+        there (B, M, 2), -1 where there is no second peak.
     """
     cross = np.einsum("nlk,nmlk->nmk", phases.conj(), known)
     curve = np.asarray(fft.irfft(np.pad(cross, ((0, 0), (0, 0), (1, 0))), FINE)) * np.float32(FINE / 2)

@@ -74,7 +74,6 @@ def find_poses(positioner: Positioner, observations: np.ndarray) -> Poses:
 
 
 def _add_yaw(positioner: FeaturePositioner, observations: np.ndarray, camera: np.ndarray) -> Poses:
-    """Poses of observations taken where the camera is at (B, 2) [m]."""
     if (headings := positioner.headings) is None:
         return Poses(camera)
     found = positioner.find_yaws(observations, camera)

@@ -41,7 +41,6 @@ class ScanPositioner(Positioner):
     turns: int
 
     def __call__(self, observations: np.ndarray) -> np.ndarray:
-        """Positions (B, 2) float64 [m] of scans (B, headings, rays), using only the first heading."""
         from sklearn.metrics import pairwise_distances_argmin
 
         if observations.ndim != 3 or observations.shape[2] != len(self.mean):
@@ -82,7 +81,6 @@ class ArrayPositioner(Positioner):
     arrays: Mapping[str, np.ndarray]
 
     def __call__(self, observations: np.ndarray) -> np.ndarray:
-        """Positions (B, 2) float64 [m], in the method's own frame, of observations (B, ...)."""
         method = find_method(self.method)
         assert method.predict is not None
         found = np.asarray(method.predict(self.arrays, np.asarray(observations)), float)
@@ -119,7 +117,6 @@ class LandmarkPositioner(Positioner):
     reach_m: float
 
     def __call__(self, observations: np.ndarray) -> np.ndarray:
-        """Positions (B, 2) float64 [m], in the landmarks' frame, of distances (B, M) [m]."""
         check_shape(observations, (len(self.landmark),))
         starts = range(0, len(observations), POINTS_AT_ONCE)
         found = [
@@ -143,18 +140,12 @@ def find_seen(distance: np.ndarray, reach_m: float) -> np.ndarray:
 
 
 def trilaterate(landmark: np.ndarray, distance: np.ndarray, reach_m: float) -> np.ndarray:
-    """Points whose distances to known landmarks fit those measured, by least squares.
+    """Points (B, 2) [m] whose distances to landmarks (M, 2) [m] fit those measured (B, M) [m], by least squares.
 
     The first guess solves ``2 (m_k - m) . p = |m_k|^2 - x_k^2 - mean_k(|m_k|^2 - x_k^2)``, linear in p (m: the mean of
     the landmarks seen); Gauss-Newton then minimises ``sum_k (|m_k - p| - x_k)^2``, the upper line of the paper's Eq. 6.
-
-    Args:
-        landmark: Landmarks (M, 2) [m].
-        distance: Measured distances (B, M) [m].
-        reach_m: Landmarks at this distance and beyond are not seen.
-
-    Returns:
-        Points (B, 2) [m]; two landmarks or fewer do not determine a point, and give one that fits them.
+    Landmarks at the distance ``reach_m`` and beyond are not seen; two or fewer do not determine a point, and give one
+    that fits them.
     """
     weight = find_seen(distance, reach_m).astype(float)
     measured = np.asarray(distance, float)
@@ -185,7 +176,6 @@ def _hold(point: np.ndarray, middle: np.ndarray, farthest: np.ndarray) -> np.nda
 
 
 def _solve(rows: np.ndarray, value: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Unknowns (B, 2) of weighted linear equations, rows (B, M, 2), values and weights (B, M)."""
     weighted = rows * weight[..., None]
     normal = np.einsum("bmi,bmj->bij", weighted, rows)
     normal += (DAMPING * (1.0 + np.trace(normal, axis1=1, axis2=2)))[:, None, None] * np.eye(2)

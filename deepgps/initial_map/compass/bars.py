@@ -132,12 +132,9 @@ class Bars:
 
 
 def lay_out(segments: Segments, turns: CompassTurns, curvature: float) -> Bars:
-    """Lay the bars end to end, along the compass headings.
+    """Lay the bars of all segments, whose errors must be expected, end to end along the compass headings.
 
-    Args:
-        segments: All segments in the order driven, with expected errors (``expect_errors``).
-        turns: Turns between them.
-        curvature: Of what the robot drives for straight, to the left [1 / m].
+    ``curvature`` [1 / m] is that of what the robot drives for straight, to the left.
     """
     index, distance = segments.index.numpy(), segments.distance.double().numpy()
     assert segments.variance is not None, "expect_errors comes first"
@@ -187,7 +184,6 @@ def expand(bars: Bars, values: np.ndarray, within: float) -> np.ndarray:
 
 
 def _cut(variance: np.ndarray) -> np.ndarray:
-    """First and last readings (k, 2) of the bars of a segment whose readings have these variances (n,) [m^2]."""
     gaps = len(variance) - 1
     # Between ends that are known, errors that add up are largest in the middle: half of the root of their sum.
     bars = max(min(int(np.ceil(variance[-1] / (2.0 * BENT_M) ** 2)), gaps), 1)
@@ -214,7 +210,7 @@ def _expect_unevenness(part: np.ndarray, grown: np.ndarray, rounding_m2: float, 
 
 
 def follow_arc(way: np.ndarray, curvature: float) -> np.ndarray:
-    """Places (n, 2) [m] after ways (n,) [m] along an arc that begins along the first axis and bends to the second."""
+    """Places (n, 2) [m] after distances (n,) [m] along an arc that leaves the first axis for the second."""
     half = curvature * way / 2.0
     chord = way * np.sinc(half / np.pi)
     return np.stack([chord * np.cos(half), chord * np.sin(half)], axis=1)

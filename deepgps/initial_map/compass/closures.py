@@ -114,12 +114,9 @@ def link(bars: Bars, closures: Closures, observations: int) -> Links:
 def believe(bars: Bars, error: np.ndarray, part: np.ndarray, links: Links, narrow: bool) -> Belief:
     """Believe the loop closures within the gate, if the gate is narrower than half of where the world repeats.
 
-    Args:
-        bars: The bars.
-        error: Samples of the errors of readings' positions (r, 2, k) [m].
-        part: Part of the drive of each bar (B,): between parts none is believed.
-        links: The loop closures.
-        narrow: Whether only gates below ``SURE_M`` count, which need not know after what distance the world repeats.
+    Samples of the errors of readings' positions are (r, 2, k) [m]. Between parts of the drive, as bars (B,) have them,
+    none is believed. ``narrow``: only gates below ``SURE_M`` count, which need not know after what distance the world
+    repeats.
     """
     _, heading, _, point = bars.locate(slice(None))
     squared = ((point[links.one] - point[links.other]) ** 2).sum(axis=1)
@@ -273,7 +270,6 @@ def _vote(bars: Bars, part: np.ndarray, links: Links, of: np.ndarray) -> tuple[n
 
 
 def _move(bars: Bars, part: np.ndarray, placement: Placement) -> None:
-    """Move a part, and give it the number of the part that stays."""
     moved = part == placement.moves
     away = bars.unknown[moved, :2] - placement.middle
     bars.unknown[moved, :2] = placement.place + turn(np.full(len(away), placement.angle), away)

@@ -119,13 +119,8 @@ def find_compass_map(
 ) -> CompassMap:
     """Lay the segments out, refine them with their loop closures, and join the parts of the drive.
 
-    Args:
-        segments: Weak constraints, all of them, in the order driven, with expected errors.
-        turns: Turns between them.
-        closures: Loop closures.
-        observations: Number of observations, N.
-        rng: Draws the samples of the map's errors.
-        curvature: Of what the robot drives for straight, as far as it is known before the map [1 / m].
+    Segments are all of them, in the order driven, with expected errors; ``rng`` draws the samples of the map's errors,
+    and ``curvature`` [1 / m] is that of what the robot drives for straight, as far as it is known before the map.
     """
     bars, links, fit = _find(segments, turns, closures, observations, rng, curvature)
     if fit.scale.length > UNDERSTATED:  # bars are too long for readings that err so much more
@@ -144,7 +139,6 @@ def _find(
     rng: np.random.Generator,
     curvature: float,
 ) -> tuple[Bars, Links, "_Fit"]:
-    """Find the map, with turns that loop closures contradict cut."""
     bars = lay_out(segments, turns, curvature)
     joints, links = make_joints(bars, turns), link(bars, closures, observations)
     cut = (joints.angle_std > CUT_RAD) | (joints.jump_std > CUT_M)

@@ -46,10 +46,8 @@ class Equations:
     def solve(self, held: np.ndarray, excess: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         """Gauss-Newton step (n,) and samples of the errors (n, SAMPLES).
 
-        Args:
-            held: Derivative of a sum that the step must make zero (n,); all zero: there is none.
-            excess: What this sum is now.
-            rng: Draws the samples.
+        The step makes a sum zero whose derivative is ``held`` (n,), all zero where there is none, and which is
+        ``excess`` now.
         """
         unknowns = len(held)
         entries = np.concatenate(self._values), (np.concatenate(self._rows), np.concatenate(self._columns))
@@ -125,14 +123,8 @@ def add_odometry(
 ) -> None:
     """Add the residuals of turns, of bars that meet, of lengths and of what all share.
 
-    Args:
-        equations: To which they are added.
-        bars: The bars.
-        joints: How they are joined.
-        part: Part of the drive of each bar (B,): different parts are not joined, and each is held by its first bar.
-        cut: Joints whose turn, or way, says nothing (J,) bool.
-        curvature: Of what the robot drives for straight, before the map [1 / m].
-        scale: Factors of the standard deviations.
+    Bars of different parts of the drive (B,) are not joined, and each part is held by its first bar; at joints that are
+    ``cut`` (J,) bool the turn, or the distance, says nothing. ``curvature`` [1 / m] is that before the map.
     """
     used = np.flatnonzero((np.diff(part) == 0) & ~cut)
     before, after = joints.before[used], joints.after[used]
@@ -221,7 +213,6 @@ def _carry_headings(bars: Bars, samples: np.ndarray, reading: np.ndarray) -> np.
 def _add_turns(
     equations: Equations, bars: Bars, one: np.ndarray, other: np.ndarray, angle: np.ndarray, weight: np.ndarray
 ) -> None:
-    """Add the angles from the readings ``one`` to ``other`` (n,) minus ``angle`` (n,) [rad]."""
     (columns, values), (columns_other, values_other) = bars.derive_heading(one), bars.derive_heading(other)
     residual = wrap(bars.locate(other).heading - bars.locate(one).heading - angle)
     equations.add(

@@ -47,14 +47,10 @@ Modes = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def find_affine_maps(count: int, segments: Segments, closures: LoopClosures) -> Iterator[np.ndarray]:
-    """Yield rough positions (N, 2) [m] of N observations, each in a frame of its own.
+    """Yield rough positions (N, 2) [m] of ``count`` observations, each in a frame of its own.
 
-    They are NaN outside the largest part that hangs together. Where bars hardly cross there may be no map.
-
-    Args:
-        count: Number of observations, N.
-        segments: Weak constraints.
-        closures: Loop closures, each pair in both orders.
+    They are NaN outside the largest connected part. Where bars hardly cross there may be no map. The loop closures hold
+    each pair in both orders.
     """
     graph = _keep_largest_part(count, segments, closures)
     plain = _find_modes_if_any(graph, np.ones(len(graph.a)))
@@ -75,16 +71,9 @@ def find_affine_maps(count: int, segments: Segments, closures: LoopClosures) -> 
 def find_modes(graph: PoseGraph, trust: np.ndarray) -> Modes:
     """Slowest modes: functions that are linear along each bar and nearly equal where two readings coincide.
 
-    Minimises ``sum_p w_p (z_a - z_b)^2`` over ``z = m + c u`` of each reading at the distance c from its bar's middle,
-    with ``sum_l d_l u_l^2 = 1``. The firmness ``d_l`` is how well other bars hold the slope of a bar, were they fixed.
-
-    Args:
-        graph: Bars, and pairs of readings that coincide.
-        trust: Factors of the pairs' weights (p,).
-
-    Returns:
-        Values at the bars' middles and slopes of the modes that spread over the map (L, k), the slowest first, and the
-        firmness of the bars (L,).
+    Minimises ``sum_p t_p w_p (z_a - z_b)^2`` over ``z = m + c u`` of each reading at the distance c from its bar's
+    middle, with ``sum_l d_l u_l^2 = 1`` and the pairs' trust t (p,). The firmness ``d_l`` is how well other bars hold
+    the slope of a bar, were they fixed. Only modes that spread over the map are returned, the slowest first.
     """
     bars, weight = int(graph.bar[-1]) + 1, graph.weight * trust
     normal, firm = _join_bars(graph, weight), _measure_firmness(graph, weight)
@@ -102,11 +91,8 @@ def find_modes(graph: PoseGraph, trust: np.ndarray) -> Modes:
 def find_plane(slope: np.ndarray, firm: np.ndarray) -> np.ndarray:
     """Axes (k, 2) that turn slopes (L, k) of modes into unit vectors (L, 2), as nearly as possible.
 
-    Fits the metric M with ``u^T M u = 1`` for all slopes u, by robust least squares, and takes its two main axes.
-
-    Args:
-        slope: Slopes of the modes.
-        firm: Firmness of the bars (L,), their weights.
+    Fits the metric M with ``u^T M u = 1`` for all slopes u, by robust least squares weighted by the bars' firmness
+    (L,), and takes its two main axes.
     """
     one, other = np.triu_indices(slope.shape[1])
     product = slope[:, one] * slope[:, other] * np.where(one == other, 1.0, 2.0)
@@ -203,25 +189,15 @@ def read_turns(recording: Recording) -> WheelTurns:
 
 
 def straighten(turns: WheelTurns, features: torch.Tensor, segments: Segments, rng: np.random.Generator) -> Relaxed:
-    """The path, relaxed until segments and loop closures fit.
-
-    Args:
-        turns: The wheels' path.
-        features: Features of the observations (N, K).
-        segments: Weak constraints.
-        rng: Draws samples for the noise of the encoders.
-    """
+    """The path, relaxed until segments and loop closures by features (N, K) fit; noise is sampled by ``rng``."""
     closures = find_loop_closures(features, segments, NEIGHBOURS[:1])[0]
     return relax_unevenly(relax(turns.path, segments, closures)[0], segments, closures, rng)
 
 
 def find_chirality(positions: np.ndarray, segments: Segments, angle: np.ndarray) -> int:
-    """Return 1 if the turns of a map have the direction of those measured, -1 if the map is mirrored.
+    """Return 1 if a map's turns have the direction of those measured (L - 1,) [rad], -1 if the map is mirrored.
 
-    Args:
-        positions: Predictions of all training observations (N, 2) [m].
-        segments: Weak constraints.
-        angle: Turn from each segment to the next, to the left (L - 1,), by wheels or compass [rad].
+    ``positions`` (N, 2) [m] are predictions of all training observations; turns lead from each segment to the next.
     """
     rows = torch.arange(len(segments.count))
     last = segments.index[rows, segments.count - 1].numpy()
@@ -238,14 +214,10 @@ OVERLAP = 0.1
 def find_initial_map(
     features: torch.Tensor, segments: Segments, generator: torch.Generator
 ) -> tuple[np.ndarray, Segments]:
-    """Positions of observations with features (N, K), in an arbitrary frame.
+    """Positions (N, 2) [m] of observations with features (N, K), in an arbitrary frame; NaN outside the largest part.
 
-    Returns:
-        (N, 2) [m]; NaN for observations outside the largest connected part. And the segments, with the distances that
-        their readings have on this map: those of the encoders, as far as these are exact.
-
-    Raises:
-        InputError: The segments are not connected.
+    The segments are returned too, with the distances that their readings have on this map: those of the encoders, as
+    far as these are exact. Raises InputError if the segments are not connected.
     """
     graphs = find_loop_closures(features, segments, NEIGHBOURS)
     rough = [map_by_paths(len(features), segments, closures, generator) for closures in graphs]

@@ -44,13 +44,9 @@ WRONG_M = 0.05
 def find_end_point_map(
     features: torch.Tensor, segments: Segments, generator: torch.Generator
 ) -> tuple[np.ndarray, Segments]:
-    """Positions of observations with features (N, K), in an arbitrary frame.
+    """Positions (N, 2) [m] of observations with features (N, K), in an arbitrary frame, and the segments as they are.
 
-    Returns:
-        (N, 2) [m]; NaN for observations outside the largest connected part. And the segments as they are.
-
-    Raises:
-        InputError: No segment is short, or the segments are not connected.
+    NaN outside the largest connected part. Raises InputError if no segment is short, or if they are not connected.
     """
     tries = []
     for closures in find_look_alikes(features, segments, NEIGHBOURS):
@@ -111,10 +107,7 @@ def fit_mixture(places: np.ndarray, segments: Segments, mixture: csr_array) -> n
 def find_look_alikes(features: torch.Tensor, segments: Segments, neighbours: tuple[int, ...]) -> list[LoopClosures]:
     """Loop closures: pairs of places, each among the other's nearest by features (N, K), with estimated distances [m].
 
-    Args:
-        features: Features (N, K).
-        segments: Weak constraints.
-        neighbours: How many count as nearest, for each list of pairs that is returned; a pair is listed once.
+    There is a list of pairs, each pair once, for each number of ``neighbours`` that count as nearest.
     """
     count = len(features)
     first, second, way = (torch.from_numpy(part) for part in find_steps(segments))
@@ -132,15 +125,10 @@ def find_look_alikes(features: torch.Tensor, segments: Segments, neighbours: tup
 
 
 def relax_ends(places: np.ndarray, segments: Segments, closures: LoopClosures) -> tuple[np.ndarray, float]:
-    """Move all places until bars and loop closures fit.
+    """Move all places (N, 2) [m] until bars and loop closures, each pair once, fit; those that are NaN stay NaN.
 
     Minimises ``sum_b w_b ((|p_i - p_j| - d) / s)^2 + sum_l w_l |p_i - p_j|^2`` by Gauss-Newton, with Geman and
     McClure's robust weights ``w = s_l^-2 (1 + r^2 / b^2)^-2`` of residuals r at the scale b.
-
-    Args:
-        places: Initial positions (N, 2) [m]; those that are NaN stay NaN.
-        segments: Weak constraints.
-        closures: Loop closures, each pair once.
 
     Returns:
         Places (N, 2) [m], and their misfit: mean squared residuals in units of ``WRONG_M``, each cut off at 4.
@@ -196,7 +184,6 @@ def _compare(
 
 
 def _fit_unlikeness(unlike: torch.Tensor, way: torch.Tensor) -> tuple[float, float]:
-    """Fit l [m] and S to feature distances of segments' ends at lengths (n,) [m]; l is a median over short segments."""
     far = float(unlike[way >= way.median()].median())
     short = (way < SHORT_M) & (way > 0) & (unlike < 0.97 * far)
     if not short.any():

@@ -57,14 +57,7 @@ class FoldScore:
 def score_folding(
     positions: np.ndarray, features: torch.Tensor, segments: Segments, generator: torch.Generator
 ) -> FoldScore:
-    """Measure how far a map is folded.
-
-    Args:
-        positions: Predictions of the training observations (N, 2) [m].
-        features: Heading-invariant features of the same (N, K).
-        segments: Weak constraints.
-        generator: Draws the observations that are examined.
-    """
+    """Measure how far a map (N, 2) [m] of observations with features (N, K) is folded, on some that are drawn."""
     return FoldScore(
         measure_length_error(positions, segments), measure_overlap(positions, features, segments, generator)
     )
@@ -123,15 +116,10 @@ LEAST = 0.02
 
 
 def find_ambiguous(places: np.ndarray, features: torch.Tensor, segments: Segments) -> np.ndarray:
-    """Find the observations that could be mirrored about a bar together with all that holds them.
+    """Mask (N,) bool of the observations that could be mirrored about a bar together with all that holds them.
 
-    Args:
-        places: Positions of the observations on the map (N, 2) [m].
-        features: Heading-invariant features of the same (N, K).
-        segments: Weak constraints.
-
-    Returns:
-        (N,) bool. Of a long recording, a sample is examined, and all others are taken to be like the one before them.
+    Their places on the map are (N, 2) [m], their features (N, K). Of a long recording, a sample is examined, and all
+    others are taken to be like the one before them.
     """
     sample, chosen = subsample(segments, len(features))
     places, numbers = places[chosen.numpy()], chosen.numpy()
@@ -143,14 +131,10 @@ def find_ambiguous(places: np.ndarray, features: torch.Tensor, segments: Segment
 
 
 def find_ambiguous_readings(graph: PoseGraph, point: np.ndarray) -> np.ndarray:
-    """Find the readings (r,) bool that could be mirrored about a bar.
+    """Find the readings (r,) bool, at points (r, 2) [m], that could be mirrored about a bar.
 
     For each bar, the bars that cross elsewhere than along its line hold one another. All such parts but the largest can
     be mirrored.
-
-    Args:
-        graph: Bars, and pairs of readings that should coincide.
-        point: Positions of the readings (r, 2) [m].
     """
     middle, heading = lay_bars(point, graph)
     bars = len(middle)

@@ -34,19 +34,9 @@ def has_lines(segments: Segments) -> bool:
 def map_by_paths(
     observations: int, segments: Segments, closures: LoopClosures, generator: torch.Generator
 ) -> np.ndarray:
-    """Positions of the training observations, by shortest paths.
+    """Positions (N, 2) [m] of the observations by shortest paths, in an arbitrary frame; the landmarks are drawn.
 
-    Args:
-        observations: Number of observations, N.
-        segments: Weak constraints.
-        closures: Loop closures.
-        generator: Draws the landmarks.
-
-    Returns:
-        (N, 2) [m] in an arbitrary frame; NaN for observations outside the largest connected part.
-
-    Raises:
-        InputError: The segments are not connected.
+    NaN outside the largest connected part. Raises InputError if the segments are not connected.
     """
     first, second, length = join_closures(segments, closures)
     graph = _join(first, second, length, observations)
@@ -61,10 +51,7 @@ def map_by_paths(
 def find_loop_closures(features: torch.Tensor, segments: Segments, neighbours: tuple[int, ...]) -> list[LoopClosures]:
     """Loop closures: pairs of observations of different segments, each among the other's nearest by features (N, K).
 
-    Args:
-        features: Features (N, K).
-        segments: Weak constraints.
-        neighbours: How many count as nearest, for each list of pairs that is returned.
+    There is a list of pairs for each number of ``neighbours`` that count as nearest.
     """
     rate, spacing = _rate_of_change(features, segments)
     before, after = find_owners(segments, len(features))
@@ -119,7 +106,7 @@ def _find_nearest(
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """The ``most`` nearest observations of other segments and their differences (N, most), the nearest first.
 
-    All pairs are compared, ``PAIRS`` at a time: memory stays bounded, and a product of matrices is fast.
+    Pairs are compared ``PAIRS`` at a time: memory stays bounded, and a product of matrices is fast.
     """
     squared = features.square().sum(dim=1).masked_fill(owners[1] < 0, torch.inf)
     valid, nearest, difference = segments.valid, [], []

@@ -58,16 +58,11 @@ class PoseGraph(NamedTuple):
 
 
 def relax(places: np.ndarray, segments: Segments, closures: LoopClosures) -> tuple[np.ndarray, float]:
-    """Move all segments, as rigid bars, to where they fit one another.
+    """Move all segments, as rigid bars, from places (N, 2) [m] to where they fit one another; NaN stay NaN.
 
-    Minimises ``sum_l w_l |p_i - p_j|^2`` over each bar's middle and heading by Gauss-Newton, with
-    ``w_l = s_l^-2 (1 + |p_i - p_j|^2 / b^2)^-2``, ``s_l`` the expected difference and ``b`` the scale. Two bars always
-    meet in an observation that they share: there ``w_l = s_l^-2``.
-
-    Args:
-        places: Initial positions of the observations (N, 2) [m]; those that are NaN stay NaN.
-        segments: Weak constraints.
-        closures: Loop closures, each pair in both orders.
+    Minimises ``sum_l w_l |p_i - p_j|^2`` over each bar's middle and heading by Gauss-Newton, with ``w_l = s_l^-2 (1 +
+    |p_i - p_j|^2 / b^2)^-2``, ``s_l`` the expected difference and ``b`` the scale. Two bars always meet in an
+    observation that they share: there ``w_l = s_l^-2``. Each loop closure is a pair in both orders.
 
     Returns:
         Positions (N, 2) float64 [m]; observations on no segment keep theirs. And the cost, the sum of
@@ -111,7 +106,6 @@ def build_pose_graph(segments: Segments, closures: LoopClosures, placed: np.ndar
 
 
 def _from_middle(segments: Segments) -> np.ndarray:
-    """Distance of each reading from the mean of its segment's readings (L, longest) [m]."""
     valid = segments.valid
     distance = segments.distance.double() * valid
     return (distance - (distance.sum(dim=1) / segments.count)[:, None]).numpy()
@@ -137,12 +131,7 @@ def move_rigidly(ahead: np.ndarray) -> np.ndarray:
 
 
 def derive_apart(graph: PoseGraph, moves: np.ndarray) -> csc_array:
-    """Derivatives (2 p, k L) of the differences of all pairs, in x and then in y.
-
-    Args:
-        graph: Bars and pairs.
-        moves: How each reading moves with each of its bar's k unknowns (r, 2, k).
-    """
+    """Derivatives (2 p, k L) of all pairs' differences, in x, then y; readings move by (r, 2, k) with k unknowns."""
     (_, _, unknowns), pairs, bars = moves.shape, len(graph.a), int(graph.bar[-1]) + 1
     columns = unknowns * graph.bar[:, None] + np.arange(unknowns)
     columns = np.tile(np.concatenate([columns[graph.a], columns[graph.b]], axis=1), (2, 1))
@@ -250,11 +239,9 @@ class UnevenBars:
         return np.concatenate([move_rigidly(ahead), along[:, :, None] * self._cosine[:, None]], axis=2)
 
     def move(self, believed: float, noise: float) -> Normal:
-        """Move the bars by one Gauss-Newton step; the sum of usual lengths stays, as the map has no other scale.
+        """Move the bars by a Gauss-Newton step with robust weights of the scale ``believed`` [m] and a gap's noise.
 
-        Args:
-            believed: Scale of the robust weights [m].
-            noise: Standard deviation of a gap, relative to it.
+        The sum of usual lengths stays, as the map has no other scale.
         """
         graph, (point, ahead) = self._graph, self.place()
         jacobian, apart = derive_apart(graph, self.derive(ahead)), point[graph.a] - point[graph.b]
@@ -285,16 +272,10 @@ class UnevenBars:
 
 
 def relax_unevenly(places: np.ndarray, segments: Segments, closures: LoopClosures, rng: np.random.Generator) -> Relaxed:
-    """Move all segments, and their readings along them, to where they fit one another.
+    """Move all segments, and their readings along them, to where they fit one another; arguments as for ``relax``.
 
-    Minimises the cost of ``pose_graph.relax`` plus ``sum (c_k / (w s_k))^2`` over the bars' middles, headings and
-    coefficients ``c_k``, with ``s_k = sqrt(2 n) g / (k pi)`` for n gaps of length g of noise w.
-
-    Args:
-        places: Initial positions of the observations (N, 2) [m]; those that are NaN stay NaN.
-        segments: Weak constraints.
-        closures: Loop closures, each pair in both orders.
-        rng: Draws the samples.
+    Minimises the cost of ``relax`` plus ``sum (c_k / (w s_k))^2`` over the bars' middles, headings and coefficients
+    ``c_k``, with ``s_k = sqrt(2 n) g / (k pi)`` for n gaps of length g of noise w, of which ``rng`` draws samples.
     """
     placed = np.asarray(np.isfinite(places).all(axis=1))
     graph = build_pose_graph(segments, closures, placed)

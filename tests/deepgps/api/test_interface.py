@@ -25,16 +25,15 @@ def test_importing_takes_no_time_and_loads_nothing_heavy():
     assert float(seconds) < 0.5
 
 
-def test_the_version_is_the_package_s():
-    assert deepgps.__version__ == version("deepgps")
-
-
-def test_every_name_can_be_taken_and_is_described():
+def test_every_name_can_be_taken_and_is_described_and_no_other():
     for name in set(deepgps.__all__) - {"__version__"}:
         value = getattr(deepgps, name)
         assert value.__name__ == name
         assert value.__doc__ and value.__doc__[0].isupper()
         assert name in dir(deepgps)
+    assert deepgps.__version__ == version("deepgps")
+    with pytest.raises(AttributeError, match="module 'deepgps' has no attribute 'lod'"):
+        _ = deepgps.lod
 
 
 def test_what_checkers_see_is_what_there_is():
@@ -47,8 +46,3 @@ def test_what_checkers_see_is_what_there_is():
         for name in node.names
     }
     assert seen == deepgps._HOME
-
-
-def test_an_unknown_name_is_an_attribute_error():
-    with pytest.raises(AttributeError, match="module 'deepgps' has no attribute 'lod'"):
-        _ = deepgps.lod

@@ -1,3 +1,5 @@
+"""Features of images, scans and vectors: what turns, light and ranks change, and what is kept of it."""
+
 from dataclasses import replace
 from pathlib import Path
 
@@ -6,24 +8,29 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.stats import rankdata
 
 from deepgps.config.learning import FeatureSettings, LearnSettings
+from deepgps.data import features
 from deepgps.data.features import (
     describe,
     draw_rings,
     find_edges,
     fit_features,
     normalise,
+    rank_values,
+    relight,
     solve_generalised,
 )
-from deepgps.data.segments import find_held_out, read_segments
+from deepgps.data.segments import Segments, find_held_out, read_segments
+from deepgps.learning import training_data
 from deepgps.learning.training_data import cached_features, prepare
 from sim.errors import InputError
 from tests.helpers.toy import make_toy
 
 
-def images(count: int, seed: int = 0) -> np.ndarray:
-    return np.random.default_rng(seed).integers(0, 256, (count, 6, 32, 3), dtype=np.uint8)
+def images(count: int, seed: int = 0, values: int = 256) -> np.ndarray:
+    return np.random.default_rng(seed).integers(0, values, (count, 6, 32, 3), dtype=np.uint8)
 
 
 @given(shift=st.integers(-40, 40), seed=st.integers(0, 1000))
@@ -46,29 +53,24 @@ def test_it_is_made_of_plain_fourier_coefficients(frequencies: int):
     assert np.abs(describe(image, frequencies).numpy() - expected).max() < 1e-4
 
 
-def test_turning_one_ring_alone_is_seen():
+def test_what_is_no_turn_is_seen():
     image = images(1)
     broken = image.copy()
     broken[:, 2] = np.roll(image[:, 2], 5, axis=1)
-    assert not torch.allclose(describe(image, 12), describe(broken, 12), atol=1e-2)
+    for other in (broken, image[:, :, ::-1].copy()):
+        assert not torch.allclose(describe(image, 12), describe(other, 12), atol=1e-2)
+    assert not torch.allclose(describe(image, 12, values="ranks"), describe(255 - image, 12, values="ranks"), atol=0.01)
 
 
-def test_mirroring_is_seen():
-    image = images(1)
-    assert not torch.allclose(describe(image, 12), describe(image[:, :, ::-1].copy(), 12), atol=1e-2)
-
-
-def test_black_images_are_finite():
-    assert torch.isfinite(describe(np.zeros((2, 6, 32, 3), np.uint8), 12)).all()
-
-
-def test_vectors_stay_as_they_are():
+def test_observations_without_contrast_or_of_other_kinds_are_described_and_other_shapes_refused():
+    for value in (0, 255):
+        for values in ("pixels", "ranks"):
+            assert torch.isfinite(describe(np.full((2, 6, 32, 3), value, np.uint8), 12, values=values)).all()
     vectors = np.arange(6.0).reshape(2, 3)
-    assert describe(vectors, 5).tolist() == vectors.tolist()
-
-
-def test_other_shapes_are_refused():
-    with pytest.raises(InputError, match=r"observations must be .* not \(2, 3, 4\)"):
+    assert describe(vectors, 5).tolist() == describe(vectors, 5, values="ranks").tolist() == vectors.tolist()
+    assert torch.equal(describe(scans(3), 5, EDGES, values="ranks"), describe(scans(3), 5, EDGES))
+    assert rank(images(0)).shape == (0, 6, 32, 3)
+    with pytest.raises(InputError, match=r"not \(2, 3, 4\)"):
         describe(np.zeros((2, 3, 4)), 5)
 
 
@@ -208,3 +210,87 @@ def test_a_heading_is_drawn_among_those_kept(tmp_path: Path):
     first = (drawn == material.features).all(dim=1)
     assert 0.35 < float(first.float().mean()) < 0.65
     assert torch.equal(drawn[~first], other[~first])
+
+
+def rank(image: np.ndarray) -> np.ndarray:
+    return rank_values(torch.from_numpy(image.transpose(0, 1, 3, 2).copy())).numpy().transpose(0, 1, 3, 2)
+
+
+@given(seed=st.integers(0, 1000), values=st.integers(1, 256))
+@settings(max_examples=20, deadline=None)
+def test_equal_values_share_the_mean_of_their_ranks(seed: int, values: int):
+    image = images(2, seed, values)
+    flat = image.reshape(2, -1)
+    expected = (rankdata(flat, axis=1) - 0.5) / flat.shape[1] * 255.0  # which scipy sorts
+    assert np.allclose(rank(image).reshape(flat.shape), expected, atol=1e-3)
+
+
+@given(seed=st.integers(0, 1000), curve_seed=st.integers(0, 1000))
+@settings(max_examples=20, deadline=None)
+def test_no_monotone_change_of_brightness_alters_the_description(seed: int, curve_seed: int):
+    image = images(2, seed, 100)
+    # a curve that keeps different values apart, as exposure and gamma do
+    curve = np.sort(np.random.default_rng(curve_seed).choice(256, 100, replace=False)).astype(np.uint8)
+    assert torch.equal(describe(image, 12, values="ranks"), describe(curve[image], 12, values="ranks"))
+
+
+@given(shift=st.integers(-40, 40), seed=st.integers(0, 1000))
+@settings(max_examples=20, deadline=None)
+def test_turning_shifts_the_ranks_exactly(shift: int, seed: int):
+    image = images(2, seed)
+    assert np.array_equal(rank(np.roll(image, shift, axis=2)), np.roll(rank(image), shift, axis=2))
+
+
+def test_an_image_is_described_alike_alone_and_among_others():
+    image = images(5)
+    assert np.array_equal(rank(image)[3:4], rank(image[3:4]))
+
+
+def test_copies_under_other_light_are_smooth_and_the_same_for_a_seed():
+    image = np.full((20, 12, 64, 3), 100, np.uint8)
+    copy, again = (relight(image, torch.Generator().manual_seed(3)) for _ in range(2))
+    assert np.array_equal(copy, again) and copy.dtype == np.uint8
+    around = np.diff(copy.astype(int), axis=2, append=copy[:, :, :1].astype(int))
+    assert np.abs(around).max() < 12 < np.ptp(copy, axis=(1, 2, 3)).min()
+
+
+def test_slow_features_of_ranks_leave_out_what_light_changes(monkeypatch: pytest.MonkeyPatch):
+    rng = np.random.default_rng(0)
+    # two things vary along a drive: a pattern, and how brightly one side is lit
+    along = np.linspace(0.0, 60.0, 400)
+    pattern = (
+        rng.uniform(20, 60, (3, 8, 32, 3))
+        * (1.0 + np.sin(along[:, None, None, None, None] + np.arange(3)[:, None, None, None]))
+    ).sum(axis=1)
+    side = 1.0 + 0.7 * np.sin(0.7 * along)[:, None, None, None] * np.cos(2 * np.pi * np.arange(32) / 32)[:, None]
+    observation = np.clip(pattern * side, 0, 255).astype(np.uint8)
+    index = torch.arange(400).view(8, 50)
+    segments = Segments(index, torch.arange(50.0).repeat(8, 1), torch.full((8,), 50), 0)
+    chosen = FeatureSettings(values="ranks", principal=40, components=6)
+    relit = relight(observation, torch.Generator().manual_seed(1))
+
+    def change(weight: float) -> float:
+        monkeypatch.setattr(features, "LIGHT_WEIGHT", weight)
+        fitted, known = fit_features(observation, segments, chosen, torch.Generator().manual_seed(0))
+        return float((fitted.apply(relit) - known).square().mean() / known.square().mean())
+
+    assert change(5.0) < 0.7 * change(0.0)
+
+
+def test_features_do_not_depend_on_the_number_of_cores(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    toy = make_toy(tmp_path / "toy", samples=300)
+    images = np.random.default_rng(0).integers(0, 256, (len(toy.observation), 4, 16, 3), np.uint8)
+    manifest = toy.manifest.model_copy(update={"sensors": {"fisheye": "polar_image"}})
+    recording = replace(toy, observation=images, manifest=manifest)
+    threads = []
+    plain = training_data.cached_features
+
+    def count_threads(*arguments):
+        threads.append(torch.get_num_threads())
+        return plain(*arguments)
+
+    monkeypatch.setattr(training_data, "cached_features", count_threads)
+    before = torch.get_num_threads()
+    training_data.prepare(recording, LearnSettings(), 0, tmp_path)
+    assert threads == [LearnSettings().train.threads]
+    assert torch.get_num_threads() == before

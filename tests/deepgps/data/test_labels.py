@@ -1,3 +1,5 @@
+"""Labels of a laboratory's tags: as the truth up to a motion, and what supervised methods take in their place."""
+
 from pathlib import Path
 
 import numpy as np
@@ -6,7 +8,6 @@ import pytest
 from deepgps.data.labels import read_places
 from sim.alignment import fit_alignment
 from sim.apriltag.bundle_adjustment import TagMap, find_level, flatten, write_labels
-from sim.apriltag.detector import Detections
 from sim.errors import WorkError
 from sim.recording.collect import collect
 from sim.recording.format import check_recording, open_labels, open_recording, open_truth
@@ -19,8 +20,6 @@ from sim.settings import (
     TagCameraSettings,
 )
 from tests.helpers.synthetic_tags import CAMERA, make_scene
-
-pytestmark = pytest.mark.slow  # one recording of a laboratory, with labels, takes 25 s
 
 LAB = SimSettings(
     room=RoomSettings(kind="lab", seed=10),
@@ -39,8 +38,8 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_labels_agree_with_the_truth_up_to_a_motion(lab: Path):
-    labels, truth = open_labels(lab), open_truth(lab)
+def test_labels_agree_with_the_truth_up_to_a_motion_and_are_all_that_is_learned(lab: Path):
+    labels, truth, recording = open_labels(lab), open_truth(lab), open_recording(lab)
     assert labels is not None
     check_recording(lab)
     known = np.isfinite(labels.pose[:, 0])
@@ -54,16 +53,16 @@ def test_labels_agree_with_the_truth_up_to_a_motion(lab: Path):
     seen = np.isfinite(test[:, 0])
     error = np.linalg.norm(alignment.apply(test[seen, :2]) - truth.test_pose[seen, 0, :2], axis=1)
     assert np.median(error) < 0.01
-
-
-def test_the_manifest_counts_what_has_no_label(lab: Path):
-    labels, manifest = open_labels(lab), open_recording(lab).manifest.model_dump()
-    assert labels is not None
+    manifest = recording.manifest.model_dump()
     assert manifest["unlabelled"] == np.isnan(labels.pose[:, 0]).sum()
     assert manifest["test_unlabelled"] == np.isnan(labels.test_pose[..., 0]).sum()
     assert manifest["tags_placed"] <= 82
+    index, place = read_places(recording)
+    assert index.tolist() == np.flatnonzero(known).tolist()
+    np.testing.assert_array_equal(place.numpy(), labels.pose[index.numpy(), :2])
 
 
+@pytest.mark.slow
 def test_test_samples_are_of_the_same_drive_and_the_images_are_kept(lab: Path):
     recording, truth = open_recording(lab), open_truth(lab)
     assert recording.observation.shape[0] == len(truth.pose) == 80
@@ -74,33 +73,24 @@ def test_test_samples_are_of_the_same_drive_and_the_images_are_kept(lab: Path):
     assert truth.free_space.is_free(truth.test_pose[:, 0, :2]).mean() > 0.9
 
 
-def test_supervised_methods_learn_from_labels_alone(lab: Path):
-    labels = open_labels(lab)
-    assert labels is not None
-    index, place = read_places(open_recording(lab))
-    assert index.tolist() == np.flatnonzero(np.isfinite(labels.pose[:, 0])).tolist()
-    np.testing.assert_array_equal(place.numpy(), labels.pose[index.numpy(), :2])
-
-
 def test_without_labels_they_learn_from_the_truth(small_recording: Path):
     index, place = read_places(open_recording(small_recording))
     assert index.tolist() == list(range(300))
     np.testing.assert_array_equal(place.numpy(), open_truth(small_recording).pose[:, :2])
 
 
-def test_labels_of_made_up_views_place_all_tags(tmp_path: Path):
+@pytest.mark.slow
+def test_labels_of_made_up_views_place_all_tags_with_test_positions_or_without(tmp_path: Path):
     scene = make_scene(views=80)
-    counts = write_labels(tmp_path, scene.detections, scene.detections, (80, 80, 1), CAMERA, np.eye(4))
+    nothing = scene.detections.of(scene.detections.view < 0)
+    counts = write_labels(tmp_path / "a", scene.detections, scene.detections, (80, 80, 1), CAMERA, np.eye(4))
     assert counts["tags_placed"] == 36
-
-
-def test_a_recording_without_test_positions_has_labels_of_its_drive(tmp_path: Path):
-    scene = make_scene(views=80)
-    none = scene.detections.of(scene.detections.view < 0)
-    counts = write_labels(tmp_path, scene.detections, none, (80, 0, 1), CAMERA, np.eye(4))
-    labels = open_labels(tmp_path)
+    counts = write_labels(tmp_path / "b", scene.detections, nothing, (80, 0, 1), CAMERA, np.eye(4))
+    labels = open_labels(tmp_path / "b")
     assert labels is not None and labels.pose.shape == (80, 3) and labels.test_pose.shape == (0, 1, 3)
     assert counts["test_unlabelled"] == 0
+    with pytest.raises(WorkError, match="labels: no test image shows tags enough to tell where it was taken"):
+        write_labels(tmp_path / "c", scene.detections, nothing, (80, 1, 1), CAMERA, np.eye(4))
 
 
 def test_in_the_level_frame_the_robot_stands_upright_on_the_floor():
@@ -121,10 +111,3 @@ def test_in_the_level_frame_the_robot_stands_upright_on_the_floor():
     np.testing.assert_allclose(alignment.apply(flatten(found)[:, :2]), place, atol=1e-9)
     turn = np.exp(1j * (flatten(found)[:, 2] - yaw))
     np.testing.assert_allclose(turn, turn[0], atol=1e-9)
-
-
-def test_images_that_show_no_tags_are_refused(tmp_path: Path):
-    scene = make_scene(views=80)
-    nothing = Detections(np.empty(0, int), np.empty(0, int), np.empty((0, 4, 2)))
-    with pytest.raises(WorkError, match="labels: no test image shows tags enough to tell where it was taken"):
-        write_labels(tmp_path, scene.detections, nothing, (80, 1, 1), CAMERA, np.eye(4))

@@ -1,4 +1,4 @@
-"""The lean that a recording's pairs show is the camera's, in training and in use, and images are set upright by it."""
+"""The lean that a recording's turns show is the camera's, in training and in use, and images are set upright by it."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 
 from deepgps.config.learning import LearnSettings
-from deepgps.data.turns import LAST_TURNS, adapt_upright, compare_images, find_in_place, ignore_small, measure_turns
+from deepgps.data.turns import (
+    LAST_TURNS,
+    SeenTurns,
+    adapt_upright,
+    compare_images,
+    find_in_place,
+    ignore_small,
+    measure_turns,
+)
 from deepgps.evaluation.evaluate import predict
 from deepgps.evaluation.in_use import adapt, measure_in_use
 from deepgps.learning.training_data import prepare
@@ -22,6 +30,7 @@ from sim.recording.format import Recording, open_recording, open_truth
 from sim.recording.turns import Turns
 from sim.sensors.camera.lens import make_lens
 from sim.sensors.camera.mount import Upright
+from sim.sensors.compass import Hypotheses
 from sim.settings import (
     CameraMountSettings,
     CameraSettings,
@@ -64,6 +73,7 @@ def drive_in_use(leaning: Recording) -> Recording:
     return open_recording(leaning.folder / "use")
 
 
+@pytest.mark.slow
 def test_the_lean_of_training_and_that_in_use_are_found(leaning: Recording, drive_in_use: Recording):
     upright = measure_turns(leaning).upright
     assert upright is not None and ignore_small(upright) == upright
@@ -73,6 +83,7 @@ def test_the_lean_of_training_and_that_in_use_are_found(leaning: Recording, driv
     np.testing.assert_allclose(np.degrees(in_use), KNOCKED, atol=0.6)
 
 
+@pytest.mark.slow
 def test_turns_of_a_leaning_camera_are_those_of_the_robot(leaning: Recording):
     pose, turns = open_truth(leaning.folder).pose, leaning.turns
     assert turns is not None
@@ -83,31 +94,36 @@ def test_turns_of_a_leaning_camera_are_those_of_the_robot(leaning: Recording):
     assert np.sqrt(np.mean(error**2)) < 0.5
 
 
-def test_a_lean_too_small_to_matter_changes_no_image(leaning: Recording, tmp_path: Path):
+def test_a_lean_too_small_to_matter_changes_no_image(small_recording: Path, tmp_path: Path):
     upright = ignore_small(set_lean(np.radians([0.06, 0.07])))
     assert upright.lean == (0.0, 0.0)
-    settings = LearnSettings.model_validate(QUICK)
-    same, plain = (prepare(leaning, settings, 0, tmp_path / name, one) for name, one in (("a", upright), ("b", None)))
+    settings, recording = LearnSettings.model_validate(QUICK), open_recording(small_recording)
+    same, plain = (prepare(recording, settings, 0, tmp_path / name, one) for name, one in (("a", upright), ("b", None)))
     np.testing.assert_array_equal(same.features, plain.features)
 
 
-def test_a_camera_that_was_not_knocked_keeps_the_correction_of_training(leaning: Recording, drive_in_use: Recording):
-    _, lean = adapt_upright(set_lean(np.zeros(2)), drive_in_use)
-    assert lean is not None
+def test_a_camera_that_was_not_knocked_keeps_the_correction_of_training(
+    small_recording: Path, monkeypatch: pytest.MonkeyPatch
+):
+    drive, lean = open_recording(small_recording), np.radians(KNOCKED)
+    seen = SeenTurns(cast(Hypotheses, None), set_lean(lean))
+    monkeypatch.setattr("deepgps.data.turns.compare_images", lambda *_: seen)
     for off_deg, kept in ((0.05, True), (0.2, False)):
         upright = set_lean(lean + np.radians([off_deg, 0.0]))
-        assert (adapt_upright(upright, drive_in_use)[0] == upright) == kept
+        adapted, in_use = adapt_upright(upright, drive)
+        assert in_use == seen.upright.lean and adapted == (upright if kept else seen.upright)
 
 
-def test_too_few_turns_in_use_leave_the_lean_of_training(leaning: Recording, drive_in_use: Recording):
-    upright = set_lean(np.radians(TRAINED))
-    turns = drive_in_use.turns
+def test_too_few_turns_in_use_leave_the_lean_of_training(small_recording: Path):
+    upright, drive = set_lean(np.radians(TRAINED)), open_recording(small_recording)
+    turns = drive.turns
     assert turns is not None
-    few = replace(drive_in_use, turns=Turns(*turns.array[find_in_place(turns)[: LAST_TURNS - 1]].T))
-    for drive in (few, replace(drive_in_use, turns=None, turn_observation=None)):
-        assert adapt_upright(upright, drive) == (upright, None)
+    few = replace(drive, turns=Turns(*turns.array[find_in_place(turns)[: LAST_TURNS - 1]].T))
+    for one in (few, replace(drive, turns=None, turn_observation=None)):
+        assert adapt_upright(upright, one) == (upright, None)
 
 
+@pytest.mark.slow
 def test_a_positioner_sets_raw_images_upright_as_in_training_and_in_use_by_the_lean_there(
     leaning: Recording, drive_in_use: Recording, tmp_path: Path
 ):
@@ -131,8 +147,9 @@ def test_a_positioner_sets_raw_images_upright_as_in_training_and_in_use_by_the_l
     np.testing.assert_array_equal(knocked.reshape(-1, 2), adapted(test))
 
 
-def test_errors_in_use_are_those_of_the_positions_there(drive_in_use: Recording, tmp_path: Path):
-    place = open_truth(drive_in_use.folder).pose[:, :2]
+def test_errors_in_use_are_those_of_the_positions_there(small_recording: Path, tmp_path: Path):
+    drive = open_recording(small_recording)
+    place = open_truth(drive.folder).pose[:, :2]
     turned = Alignment(rotation=np.array([[0.0, -1.0], [1.0, 0.0]]), translation=np.array([1.0, 2.0]), scale=1.0)
     own = (place - turned.translation) @ turned.rotation
     own[0] += [0.3, 0.4]
@@ -141,6 +158,6 @@ def test_errors_in_use_are_those_of_the_positions_there(drive_in_use: Recording,
         assert len(observations) == len(own)
         return own
 
-    found = measure_in_use(cast(Positioner, know), turned, drive_in_use, tmp_path)
+    found = measure_in_use(cast(Positioner, know), turned, drive, tmp_path)
     assert found.truth.shape == (len(own), 2) and found.predicted.shape == (len(own), 1, 2)
     np.testing.assert_allclose(found.worst, [0.5, *np.zeros(len(own) - 1)], atol=1e-9)

@@ -1,23 +1,35 @@
+"""Trainings: the same bytes however they are interrupted; on a GPU no step waits for a value, as fake tensors show."""
+
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from torch import nn
+from torch._subclasses.fake_tensor import DataDependentOutputException, FakeTensorMode
 
-from deepgps.config.learning import NetworkSettings, TrainSettings
+from deepgps.config.learning import Architecture, LearnSettings, LiftSettings, NetworkSettings, TrainSettings
 from deepgps.learning import losses
 from deepgps.learning.batches import Batch, Inputs, Loss
+from deepgps.learning.checkpoint import NAME, load_checkpoint, save_checkpoint
+from deepgps.learning.losses import flatten_later, imitate_first
 from deepgps.learning.networks import make_network
 from deepgps.learning.trainer import (
+    ReplayedStep,
     choose_device,
     describe_device,
     find_device,
     has_fast_bfloat16,
     make_generator,
+    make_step,
     predict,
     schedule,
+    set_rate,
     train,
 )
+from deepgps.methods.deepgps import segment_loss
+from deepgps.methods.variants import weigh_by_noise
 from deepgps.terminal.progress import Look, Report, ignore
 from sim.errors import InputError, WorkError
 from sim.rng import derive_seed
@@ -60,10 +72,17 @@ def same_weights(first: torch.nn.Module, second: torch.nn.Module) -> bool:
     return all(torch.equal(a, b) for a, b in pairs)
 
 
-def test_training_learns(tmp_path: Path):
+def test_training_learns_and_its_history_holds_losses_and_thirty_snapshots(tmp_path: Path):
     network, inputs = learn(tmp_path)
     found = predict(network, inputs, torch.arange(200))
     assert (found - inputs.table[:, :2]).norm(dim=1).mean() < 0.25 * inputs.table[:, :2].norm(dim=1).mean()
+    with np.load(tmp_path / "history.npz") as history:
+        assert history["snapshot"].shape == (30, 200, 2)
+        assert history["snapshot_step"][0] == 0 and history["snapshot_step"][-1] == SETTINGS.steps
+        assert np.all(np.diff(history["snapshot_step"]) > 0)
+        assert history["step"][-1] == SETTINGS.steps and len(history["loss"]) == len(history["step"])
+        assert history["loss"][-1] < 0.5 * history["loss"][0]
+        assert history["snapshot_index"].tolist() == list(range(200))
 
 
 def test_same_seed_same_weights(tmp_path: Path):
@@ -74,31 +93,17 @@ def test_same_seed_same_weights(tmp_path: Path):
     assert histories[0] == histories[1]
 
 
-@pytest.mark.parametrize("step", [1, 37, 40, 119])
-def test_a_training_cut_off_anywhere_ends_with_the_same_weights(tmp_path: Path, step: int):
+def test_a_training_cut_off_anywhere_ends_with_the_same_weights(tmp_path: Path):
     whole, _ = learn(tmp_path / "whole")
-    with pytest.raises(Cut):
-        learn(tmp_path / "cut", progress=cut_at(step))
-    continued, _ = learn(tmp_path / "cut")
-    assert same_weights(whole, continued)
-    assert (tmp_path / "whole/history.npz").read_bytes() == (tmp_path / "cut/history.npz").read_bytes()
-
-
-def test_a_finished_training_is_not_repeated(tmp_path: Path):
-    first, _ = learn(tmp_path)
-    again, _ = learn(tmp_path, progress=cut_at(1))
-    assert same_weights(first, again)
-
-
-def test_history_holds_losses_and_thirty_snapshots(tmp_path: Path):
-    learn(tmp_path)
-    with np.load(tmp_path / "history.npz") as history:
-        assert history["snapshot"].shape == (30, 200, 2)
-        assert history["snapshot_step"][0] == 0 and history["snapshot_step"][-1] == SETTINGS.steps
-        assert np.all(np.diff(history["snapshot_step"]) > 0)
-        assert history["step"][-1] == SETTINGS.steps and len(history["loss"]) == len(history["step"])
-        assert history["loss"][-1] < 0.5 * history["loss"][0]
-        assert history["snapshot_index"].tolist() == list(range(200))
+    for step in (1, 37, 40, 119):
+        folder = tmp_path / str(step)
+        with pytest.raises(Cut):
+            learn(folder, progress=cut_at(step))
+        continued, _ = learn(folder)
+        assert same_weights(whole, continued)
+        assert (tmp_path / "whole/history.npz").read_bytes() == (folder / "history.npz").read_bytes()
+    finished, _ = learn(folder, progress=cut_at(1))  # which is not repeated
+    assert same_weights(whole, finished)
 
 
 def test_rate_rises_then_falls_to_zero():
@@ -118,20 +123,14 @@ def test_images_are_shifted_in_a_circle_only_in_training():
     shifts = [[torch.equal(turned[k], still[k].roll(s, dims=2)) for s in range(8)] for k in range(4)]
     assert all(sum(one) == 1 for one in shifts)
     assert len({one.index(True) for one in shifts}) > 1
+    assert torch.equal(Inputs(image, shift=False).take(index, torch.Generator().manual_seed(0)), still)
 
 
-def test_images_stay_as_they_are_where_shifts_are_not_wanted():
-    image = torch.arange(4 * 2 * 8 * 3, dtype=torch.uint8).view(4, 2, 8, 3)
-    inputs, index = Inputs(image, shift=False), torch.arange(4)
-    assert torch.equal(inputs.take(index, torch.Generator().manual_seed(0)), inputs.take(index))
-
-
-def test_each_purpose_and_attempt_has_its_own_stream():
-    seeds = {derive_seed(s, p, a) for s in range(3) for p in ("weights", "shuffling") for a in range(3)}
-    assert len(seeds) == 18
-
-
-def test_a_number_beyond_the_last_device_is_refused(monkeypatch: pytest.MonkeyPatch):
+def test_an_absent_device_is_refused(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    assert choose_device("auto").type == find_device("cuda").type == "cpu" and describe_device().startswith("CPU, ")
+    with pytest.raises(InputError, match=r"learn\.train\.device 'cuda': this machine has no CUDA device"):
+        choose_device("cuda")
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
     assert [str(choose_device(name)) for name in ("cpu", "cuda", "cuda:1")] == ["cpu", "cuda", "cuda:1"]
@@ -139,31 +138,18 @@ def test_a_number_beyond_the_last_device_is_refused(monkeypatch: pytest.MonkeyPa
         choose_device("cuda:2")
 
 
-def test_an_absent_device_is_refused():
-    if torch.cuda.is_available():
-        pytest.skip("this machine has CUDA")
-    assert choose_device("auto").type == "cpu"
-    with pytest.raises(InputError, match=r"learn\.train\.device 'cuda': this machine has no CUDA device"):
-        choose_device("cuda")
-    assert describe_device().startswith("CPU, ")
-    assert find_device("cuda").type == "cpu"
-
-
-@pytest.mark.parametrize(
-    ("processor", "fast"),
-    [
-        ({"cpu_name": "AMD EPYC", "avx512_bf16": True, "amx_bf16": False}, True),
-        ({"cpu_name": "Intel Xeon", "avx512_bf16": True, "amx_bf16": True}, True),
-        ({"cpu_name": "Intel Xeon", "avx512_bf16": True, "amx_bf16": False}, False),
-        ({"cpu_name": "AMD EPYC", "avx512_bf16": False, "amx_bf16": False}, False),
-        ({"architecture": "aarch64", "bf16": True}, False),
-    ],
-)
-def test_bfloat16_is_used_where_it_is_faster(
-    processor: dict[str, str | bool], fast: bool, monkeypatch: pytest.MonkeyPatch
-):
-    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: processor)
-    assert has_fast_bfloat16(torch.device("cpu")) == fast
+def test_bfloat16_is_used_where_it_is_faster(monkeypatch: pytest.MonkeyPatch):
+    for name, avx512, amx, fast in (
+        ("AMD EPYC", True, False, True),
+        ("Intel Xeon", True, True, True),
+        ("Intel Xeon", True, False, False),
+        ("AMD EPYC", False, False, False),
+    ):
+        processor = {"cpu_name": name, "avx512_bf16": avx512, "amx_bf16": amx}
+        monkeypatch.setattr(torch.cpu, "get_capabilities", lambda known=processor: known)
+        assert has_fast_bfloat16(torch.device("cpu")) == fast
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {"architecture": "aarch64", "bf16": True})
+    assert not has_fast_bfloat16(torch.device("cpu"))
 
 
 def test_threads_are_lent_only_to_training(tmp_path: Path):
@@ -185,3 +171,190 @@ def test_a_training_that_diverges_says_so_and_leaves_no_checkpoint_of_it(tmp_pat
     with pytest.raises(WorkError, match="training diverged"):  # from the last checkpoint, which is sound
         learn(tmp_path, loss=burst)
     learn(tmp_path)
+
+
+def make(seed: int):
+    network = nn.Linear(2, 2)
+    for parameter in network.parameters():
+        nn.init.normal_(parameter, generator=torch.Generator().manual_seed(seed))
+    optimiser = torch.optim.AdamW(network.parameters())
+    network(torch.ones(1, 2)).sum().backward()
+    optimiser.step()
+    return network, optimiser, torch.Generator().manual_seed(seed)
+
+
+def test_all_that_the_next_step_depends_on_comes_back(tmp_path: Path):
+    network, optimiser, generator = make(0)
+    history = {"step": [3], "snapshot": [torch.ones(2, 2)]}
+    torch.rand(5, generator=generator)
+    save_checkpoint(tmp_path, 3, network, optimiser, generator, history, 1.5)
+
+    other, other_optimiser, other_generator = make(1)
+    found = {"step": [], "snapshot": []}
+    assert load_checkpoint(tmp_path, other, other_optimiser, other_generator, found) == (3, 1.5)
+    assert torch.equal(torch.rand(3, generator=generator), torch.rand(3, generator=other_generator))
+    for model, rule in ((network, optimiser), (other, other_optimiser)):
+        rule.zero_grad()
+        model(torch.tensor([[1.0, -2.0]])).square().sum().backward()
+        rule.step()
+    pairs = zip(network.parameters(), other.parameters(), strict=True)
+    assert all(torch.equal(a, b) for a, b in pairs)
+    assert found["step"] == [3] and torch.equal(found["snapshot"][0], torch.ones(2, 2))
+
+
+def test_a_checkpoint_cut_off_while_it_is_written_leaves_the_old_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    network, optimiser, generator = make(0)
+    save_checkpoint(tmp_path, 1, network, optimiser, generator, {}, 0.0)
+
+    def write_half(path: Path, data: bytes) -> int:
+        with path.open("wb") as file:
+            file.write(data[:500])
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, "write_bytes", write_half)
+    with pytest.raises(KeyboardInterrupt):
+        save_checkpoint(tmp_path, 2, network, optimiser, generator, {}, 0.0)
+    assert load_checkpoint(tmp_path, network, optimiser, generator, {})[0] == 1
+
+
+def test_a_checkpoint_of_another_network_or_kind_of_device_is_refused(tmp_path: Path):
+    save_checkpoint(tmp_path, 1, *make(0), {}, 0.0)
+    larger = nn.Linear(3, 2)
+    with pytest.raises(InputError, match=r"checkpoint\.pt belongs to another training"):
+        load_checkpoint(tmp_path, larger, torch.optim.AdamW(larger.parameters()), torch.Generator(), {})
+    state = torch.load(tmp_path / NAME, weights_only=True)
+    torch.save({**state, "generator": torch.zeros(16, dtype=torch.uint8)}, tmp_path / NAME)  # as CUDA's is
+    with pytest.raises(InputError, match="another kind of device; without it this one starts from its first step"):
+        load_checkpoint(tmp_path, *make(0), {})
+
+
+def test_a_cut_checkpoint_is_removed_and_said(tmp_path: Path, caplog: pytest.LogCaptureFixture):
+    assert load_checkpoint(tmp_path, *make(0), {}) == (0, 0.0)
+    for left in (0, 10, 500):
+        save_checkpoint(tmp_path, 1, *make(0), {}, 0.0)
+        (tmp_path / NAME).write_bytes((tmp_path / NAME).read_bytes()[:left])
+        assert load_checkpoint(tmp_path, *make(0), {}) == (0, 0.0)
+        assert not (tmp_path / NAME).exists()
+        assert f"{tmp_path / NAME} is damaged" in caplog.messages[-1]
+
+
+def test_a_flipped_bit_is_found_or_changes_nothing(tmp_path: Path):
+    expected = make(0)[0].state_dict()
+    for at in range(0, 30_000, 1237):
+        save_checkpoint(tmp_path, 7, *make(0), {"loss": [1.5]}, 0.25)
+        data = bytearray((tmp_path / NAME).read_bytes())
+        data[at // 8 % len(data)] ^= 1 << at % 8
+        (tmp_path / NAME).write_bytes(data)
+        network, optimiser, generator = make(1)
+        history = {"loss": []}
+        if load_checkpoint(tmp_path, network, optimiser, generator, history) != (0, 0.0):
+            assert history == {"loss": [1.5]}
+            assert all(torch.equal(value, expected[name]) for name, value in network.state_dict().items())
+
+
+def test_a_machine_out_of_memory_keeps_the_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    save_checkpoint(tmp_path, 1, *make(0), {}, 0.0)
+
+    def run_out(*_: object, **__: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(torch, "load", run_out)
+    with pytest.raises(MemoryError):
+        load_checkpoint(tmp_path, *make(0), {})
+    assert (tmp_path / NAME).is_file()
+
+
+needs_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+KNOWN = torch.tensor([[0.1, 0.2], [float("nan")] * 2]).repeat(10, 1)
+DEFAULT = LearnSettings()
+PAPER = LearnSettings(loss="normalised", straight=0.0)
+LOSSES: dict[str, Callable[[str], Loss]] = {
+    "paper": lambda device: segment_loss(PAPER, losses.weigh_equally),
+    "ours": lambda device: segment_loss(DEFAULT, losses.weigh_equally),
+    "arcs": lambda device: segment_loss(DEFAULT, losses.weigh_equally, curvature=0.01),
+    "noise": lambda device: segment_loss(DEFAULT, weigh_by_noise(1e-6)),
+    "imitation": lambda device: imitate_first(segment_loss(DEFAULT, losses.weigh_equally), KNOWN.to(device), 0.03),
+}
+
+
+def make_batch(generator: torch.Generator) -> Batch:
+    index = torch.randint(20, (4, 8), generator=generator)
+    along = torch.rand((4, 8), generator=generator).cumsum(dim=1)
+    return Batch(index, along, torch.rand((4, 8), generator=generator) < 0.8, 1e-4 * along)
+
+
+def step_on_fake_tensors(loss: Loss, outputs: int = 2) -> None:
+    batch, generator = make_batch(make_generator(0, "batch")), make_generator(0, "weights")
+    network = make_network(NetworkSettings(width=16, layers=2), 6, outputs, generator)
+    step = make_step(network, torch.optim.AdamW(network.parameters()), loss, bfloat16=False)
+    with FakeTensorMode(allow_non_fake_inputs=True) as mode:
+        held = {name: mode.from_tensor(one) for name, one in vars(batch).items()}
+        step(torch.zeros((32, 6)), Batch(**held), torch.zeros(()))
+
+
+@pytest.mark.parametrize("name", LOSSES)
+def test_no_loss_waits_for_a_value(name: str):
+    step_on_fake_tensors(LOSSES[name]("cpu"))
+
+
+def test_lifting_waits_for_values():
+    with pytest.raises(DataDependentOutputException):
+        step_on_fake_tensors(flatten_later(LOSSES["ours"]("cpu"), LiftSettings()), outputs=8)
+
+
+def test_a_rate_is_set_in_place_where_it_is_a_tensor():
+    optimiser = torch.optim.AdamW([torch.zeros(1, requires_grad=True)], lr=1.0)
+    set_rate(optimiser, 0.5)
+    assert optimiser.param_groups[0]["lr"] == 0.5
+    held = optimiser.param_groups[0]["lr"] = torch.zeros(())
+    set_rate(optimiser, 0.25)
+    assert optimiser.param_groups[0]["lr"] is held and held.item() == 0.25
+
+
+@needs_gpu
+@pytest.mark.parametrize("architecture", ["spectral", "resnet"])
+@pytest.mark.parametrize("name", LOSSES)
+def test_a_replayed_training_learns_what_a_plain_one_learns(name: str, architecture: Architecture, tmp_path: Path):
+    """Convolutions do not even repeat themselves on a GPU, so two plain trainings say how far apart losses may be."""
+    replayed, plain, again = (
+        learn_on_gpu(name, architecture, tmp_path / str(number), replay)
+        for number, replay in enumerate((True, False, False))
+    )
+    noise, scale = np.abs(plain - again).max(), np.abs(plain).max()
+    assert np.abs(replayed - plain).max() <= 10.0 * noise + 1e-3 * scale
+
+
+@needs_gpu
+def test_other_shapes_are_recorded_anew():
+    network = make_network(NetworkSettings(width=16, layers=2), 6, 2, make_generator(0, "weights")).cuda()
+    optimiser = torch.optim.AdamW(network.parameters(), fused=True)
+    loss = LOSSES["ours"]("cuda")
+    step = ReplayedStep(make_step(network, optimiser, loss, bfloat16=False), optimiser, torch.device("cuda:0"))
+    set_rate(optimiser, 0.0)
+    for rows in (4, 4, 4, 4, 4, 2, 2, 2, 2, 2, 4):
+        batch = make_batch(make_generator(rows, "batch"))
+        held = {name: one[:rows].cuda() for name, one in vars(batch).items()}
+        inputs, done = torch.ones((8 * rows, 6), device="cuda"), torch.zeros((), device="cuda")
+        inputs *= torch.arange(8 * rows, device="cuda")[:, None]
+        with torch.no_grad():  # a graph of another stream that is kept would disturb the recording
+            expected = loss(network(inputs).unflatten(0, (rows, 8)), Batch(**held), done).item()
+        assert step(inputs, Batch(**held), done).item() == pytest.approx(expected, rel=1e-5)
+
+
+def learn_on_gpu(name: str, architecture: Architecture, folder: Path, replay: bool) -> np.ndarray:
+    """Losses of a short training on a GPU."""
+    random = np.random.default_rng(0)
+    table = (
+        random.random((20, 6), np.float32) if architecture == "spectral" else random.integers(0, 255, (20, 16, 32, 3))
+    )
+    table = torch.from_numpy(table.astype(np.float32 if table.ndim == 2 else np.uint8)).cuda()
+    network = make_network(
+        NetworkSettings(architecture=architecture, width=16, channels=4), 6, 2, make_generator(0, "w")
+    )
+    batches = [make_batch(make_generator(number, "batch")) for number in range(60)]
+    drawn = iter(Batch(**{name: one.cuda() for name, one in vars(batch).items()}) for batch in batches)
+    settings = TrainSettings(steps=60, device="cuda", bfloat16=False)
+    loss = LOSSES[name]("cuda")
+    train(network, Inputs(table, shift=False), lambda *_: next(drawn), loss, settings, 0, folder, replay=replay)
+    with np.load(folder / "history.npz") as history:
+        return history["loss"]

@@ -1,3 +1,6 @@
+"""Segments as bars: exact maps from rough ones, and bars of noisy encoders that give way as far as these err."""
+
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -6,7 +9,14 @@ import torch
 
 from deepgps.data.segments import Segments, read_segments
 from deepgps.initial_map.distances.isomap import LoopClosures, find_loop_closures, map_by_paths
-from deepgps.initial_map.distances.pose_graph import relax
+from deepgps.initial_map.distances.pose_graph import (
+    NOISE_LEAST,
+    UnevenBars,
+    build_pose_graph,
+    derive_apart,
+    relax,
+    relax_unevenly,
+)
 from sim.alignment import fit_alignment
 from tests.helpers.toy import DescribedToy, make_toy
 
@@ -105,3 +115,130 @@ def test_one_segment_stays_straight_where_nothing_holds_it(tmp_path: Path):
     found, cost = relax(places, segments, (nothing, nothing, np.empty(0)))
     assert np.allclose(found, places, equal_nan=True, atol=1e-6)
     assert cost == 0.0
+
+
+Closed = tuple[np.ndarray, Segments, LoopClosures]
+
+
+@pytest.fixture(scope="module")
+def closed(toy: DescribedToy) -> Closed:
+    """The toy's true places, segments and loop closures."""
+    return toy.place, toy.segments, find_loop_closures(toy.features, toy.segments, (3,))[0]
+
+
+def rms(found: np.ndarray, place: np.ndarray) -> float:
+    return float(np.sqrt(((fit_alignment(found, place, "E2").apply(found) - place) ** 2).sum(axis=1).mean()))
+
+
+def make_noisy(segments: Segments, noise: float, seed: int = 1) -> Segments:
+    """The same segments by encoders that are wrong by this part of each gap."""
+    gap = segments.distance.diff(dim=1, prepend=torch.zeros(len(segments.count), 1).to(segments.distance))
+    wrong = torch.randn(gap.shape, generator=torch.Generator().manual_seed(seed))
+    return replace(segments, distance=(gap * (1.0 + noise * wrong)).cumsum(dim=1))
+
+
+def refine(places: np.ndarray, segments: Segments, closures: LoopClosures) -> tuple[np.ndarray, float]:
+    found, _, noise = relax_unevenly(places, segments, closures, np.random.default_rng(0))
+    return found, noise
+
+
+@pytest.mark.parametrize("noise", [0.1, 0.2, 0.3])
+def test_the_noise_is_found_and_the_map_is_better_than_that_of_rigid_bars(closed: Closed, noise: float):
+    place, segments, closures = closed
+    segments = make_noisy(segments, noise)
+    rigid, _ = relax(place, segments, closures)
+    found, estimated = refine(rigid, segments, closures)
+    assert estimated == pytest.approx(noise, rel=0.25)
+    assert rms(found, place) < 0.8 * rms(rigid, place)
+
+
+def test_bars_of_a_wheel_that_stuck_are_mended_and_the_others_stay_rigid(closed: Closed):
+    place, segments, closures = closed
+    distance = segments.distance.clone()
+    distance[::10] *= 0.5
+    stuck = replace(segments, distance=distance)
+    rigid, _ = relax(place, stuck, closures)
+    found, estimated = refine(rigid, stuck, closures)
+    assert estimated < 0.1
+    assert rms(found, place) < 0.3 * rms(rigid, place)
+
+
+def test_exact_encoders_lose_nothing(closed: Closed):
+    place, segments, closures = closed
+    rigid, _ = relax(place, segments, closures)
+    found, estimated = refine(rigid, segments, closures)
+    assert estimated < 0.04
+    assert rms(found, place) < rms(rigid, place) + 0.001
+
+
+def test_the_sum_of_all_lengths_stays_what_the_encoders_say(closed: Closed):
+    place, segments, closures = closed
+    segments = make_noisy(segments, 0.3)
+    found, _ = refine(relax(place, segments, closures)[0], segments, closures)
+    last = (segments.count - 1)[:, None]
+    ends = found[segments.index[:, 0].numpy()], found[segments.index.gather(1, last)[:, 0].numpy()]
+    driven = segments.distance.gather(1, last).sum().item()
+    assert np.linalg.norm(ends[1] - ends[0], axis=1).sum() == pytest.approx(driven, rel=0.005)
+
+
+def test_the_corrected_distances_are_nearer_to_the_truth_and_those_of_exact_encoders_stay(closed: Closed):
+    place, exact, closures = closed
+    for noise, better in ((0.0, 1.0), (0.2, 0.8)):
+        noisy = make_noisy(exact, noise)
+        corrected = relax_unevenly(
+            relax(place, noisy, closures)[0], noisy, closures, np.random.default_rng(0)
+        ).segments.distance
+        before, after = (measure_gaps(some, exact) for some in (noisy.distance, corrected))
+        assert after < max(better * before, 0.005)
+
+
+def measure_gaps(distance: torch.Tensor, exact: Segments) -> float:
+    """RMS error of the distances of readings from the middle of their segment [m]."""
+    wrong = (distance - exact.distance) * exact.valid
+    wrong = (wrong - (wrong.sum(dim=1) / exact.count)[:, None])[exact.valid]
+    return float(wrong.square().mean().sqrt())
+
+
+def test_turning_the_map_turns_the_refined_one(closed: Closed):
+    place, segments, closures = closed
+    segments = make_noisy(segments, 0.2)
+    turn = np.array([[0.6, -0.8], [0.8, 0.6]])
+    one, other = (refine(places, segments, closures)[0] for places in (place, place @ turn.T + [3.0, -2.0]))
+    assert np.allclose(one @ turn.T + [3.0, -2.0], other, atol=0.003)  # samples differ
+
+
+def test_what_is_nowhere_stays_there(closed: Closed):
+    place, segments, closures = closed
+    lost = segments.index[3, : int(segments.count[3])].numpy()
+    places = place.copy()
+    places[lost] = np.nan
+    found, _ = refine(places, segments, closures)
+    assert np.isnan(found[lost]).all() and np.isfinite(np.delete(found, lost, axis=0)).all()
+
+
+def test_a_bar_whose_encoder_stood_still_does_no_harm(closed: Closed):
+    place, segments, closures = closed
+    distance = segments.distance.clone()
+    distance[5] = 0.0
+    found, estimated = refine(place, replace(segments, distance=distance), closures)
+    assert np.isfinite(found).all() and estimated >= NOISE_LEAST
+
+
+def test_derivatives_agree_with_finite_differences(closed: Closed):
+    place, segments, closures = closed
+    graph = build_pose_graph(segments.take(torch.arange(12)), closures, np.ones(len(place), bool))
+    bars = UnevenBars(graph, place)
+    bars.unknown += 0.02 * np.random.default_rng(2).standard_normal(bars.unknown.shape)
+    derived = derive_apart(graph, bars.derive(bars.place()[1])).toarray()
+
+    def apart() -> np.ndarray:
+        point = bars.place()[0]
+        return (point[graph.a] - point[graph.b]).T.ravel()
+
+    for column in range(bars.unknown.size):
+        ends = []
+        for step in (1e-6, -2e-6):
+            bars.unknown.flat[column] += step
+            ends.append(apart())
+        bars.unknown.flat[column] += 1e-6
+        assert np.allclose((ends[0] - ends[1]) / 2e-6, derived[:, column], atol=1e-6)
