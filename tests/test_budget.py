@@ -8,6 +8,9 @@ MOST = {
     "files of sim and deepgps": 335,
     "lines of tests": 29_300,
     "Python files directly in deepgps": 2,
+    "words of decisions": 6_000,
+    "words of all other pages by hand": 18_000,
+    "words of published results": 8_000,
 }
 
 
@@ -15,13 +18,22 @@ def count_lines(files: list[Path]) -> int:
     return sum(len(file.read_text(encoding="utf-8").splitlines()) for file in files)
 
 
+def count_words(files: list[Path]) -> int:
+    return sum(len(file.read_text(encoding="utf-8").split()) for file in files)
+
+
 def test_the_project_stays_light():
     product = [file for package in ("sim", "deepgps") for file in (ROOT / package).rglob("*.py")]
+    docs, decisions = ROOT / "docs", ROOT / "docs" / "decisions.md"
+    pages = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *docs.glob("*.md"), *(docs / "how-to").glob("*.md")]
     found = {
         "lines of sim and deepgps": count_lines(product),
         "files of sim and deepgps": len(product),
         "lines of tests": count_lines(list((ROOT / "tests").rglob("*.py"))),
         "Python files directly in deepgps": len(list((ROOT / "deepgps").glob("*.py"))),
+        "words of decisions": count_words([decisions]),
+        "words of all other pages by hand": count_words([page for page in pages if page != decisions]),
+        "words of published results": count_words(list((docs / "results").rglob("*.md"))),
     }
     over = [f"{name}: {found[name]:,}, at most {most:,}" for name, most in MOST.items() if found[name] > most]
     assert not over, "; ".join(over)
