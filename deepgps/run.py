@@ -60,7 +60,7 @@ def show(scenario: Scenario, folder: Path, progress: Report) -> None:
     """Draw the figures and write the Rerun recording."""
     from deepgps.reports.run_figures import draw_figures
     from deepgps.viewer.pictures import PICTURES, choose_views, write_pictures
-    from deepgps.viewer.run.recording import find_recording, write_run
+    from deepgps.viewer.run import find_recording, write_run
 
     path = folder / "run.rrd"
     if is_intact(path):

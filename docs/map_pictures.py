@@ -19,7 +19,7 @@ from deepgps.data.segments import fill_stretches
 from deepgps.initial_map.stored_map import StoredMap, read_map
 from deepgps.positioner.stored_positioner import load_positioner, read_training
 from deepgps.reports.plots import PAPER, draw_room, to_png
-from deepgps.viewer.run.making import SIGMAS, enlarge
+from deepgps.viewer.making import SIGMAS, enlarge
 from docs.pictures import PICTURES, reduce
 from sim.alignment import fit_alignment, fit_robust_alignment
 from sim.files.atomic import write_bytes

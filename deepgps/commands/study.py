@@ -75,7 +75,7 @@ def study_command(words: Sequence[str]) -> None:
             publish(study, place, arguments.publish / study.name)
             say(f"copied to {arguments.publish / study.name}")
         if len(failures) < len(plans) and not REPORTS[study.report].gather:
-            from deepgps.viewer.study.study import write_study
+            from deepgps.viewer.study import write_study
 
             write_study(place)
         if failures:

@@ -6,7 +6,7 @@ The viewer's tooltip lists up to three components that differ between the arrows
 number. So an entity has its shape, its colours and one short text, and other values are logged above it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import rerun as rr
@@ -18,8 +18,9 @@ from deepgps.config.methods import title_of
 from deepgps.evaluation.error_field import ErrorField, WorstField, find_worst, split_by_acceptance
 from deepgps.evaluation.measures import find_seen
 from deepgps.reports.plots import REFUSED, colours_of
+from deepgps.viewer.read import COLUMNS
 from deepgps.viewer.scene import LAYER_M, lift
-from deepgps.viewer.timeline import Rows, put
+from deepgps.viewer.stream import Rows, put
 from sim.geometry import FreeSpace
 
 LARGE_M = 0.1
@@ -56,25 +57,9 @@ def log_field(stream: rr.RecordingStream, name: str, field: ErrorField, at: Rows
     said = [f"refused: {one}" for one in describe_errors(refused)]
     _log_arrows(stream, f"{path}/worst/{REFUSED_PART}", name, refused, grey, said, thin, at)
     if not at:
-        put(stream, path, _list_values(find_worst(field)))
-
-
-def _log_headings(stream: rr.RecordingStream, name: str, field: ErrorField) -> None:
-    """Log a method's errors at each heading that all places share, if there are several."""
-    for number, path in enumerate(_list_headings(name, field)):
-        chosen = np.zeros(field.predicted.shape[:2], bool)
-        chosen[:, number] = True
-        one = find_worst(field, chosen)
-        words = np.where(field.is_accepted[:, number], "", "refused: ")
-        said = [f"{word}{error}" for word, error in zip(words, describe_errors(one), strict=True)]
-        _log_arrows(stream, path, name, one, colours_of(one.error), said, find_thinness(field.truth))
-
-
-def _list_headings(name: str, field: ErrorField) -> list[str]:
-    """Entities of a method's errors at each heading; empty if places have headings of their own, or only one."""
-    if field.heading.ndim != 1 or len(field.heading) < 2:
-        return []
-    return [f"world/error_field/{name}/heading/{_degrees(one):03.0f}_deg" for one in field.heading]
+        worst = find_worst(field)
+        columns = np.column_stack([worst.truth, worst.predicted, worst.error, _degrees(worst.heading)]).T
+        put(stream, path, rr.AnyValues(**dict(zip(COLUMNS, columns, strict=True))))
 
 
 def describe_errors(field: WorstField) -> list[str]:
@@ -89,11 +74,7 @@ def describe_errors(field: WorstField) -> list[str]:
 
 def list_layers(name: str, field: ErrorField) -> list[str]:
     """Entities of the layers that a method has: errors at each heading, yaws, radii, errors that its map expects."""
-    has = {
-        "yaw": field.yaw is not None and field.yaw_error is not None,
-        "radius": field.radius is not None,
-        "expected": field.expected is not None,
-    }
+    has = {"yaw": field.yaw is not None, "radius": field.radius is not None, "expected": field.expected is not None}
     return [*_list_headings(name, field), *(name_layer(name, layer) for layer in has if has[layer])]
 
 
@@ -104,10 +85,59 @@ def name_layer(name: str, layer: str) -> str:
 
 def log_layers(stream: rr.RecordingStream, name: str, field: ErrorField) -> None:
     """Log the layers that a method has."""
-    _log_headings(stream, name, field)
-    _log_yaws(stream, name_layer(name, "yaw"), field)
-    _log_radii(stream, name_layer(name, "radius"), field)
-    _log_expected(stream, name_layer(name, "expected"), field)
+    for number, path in enumerate(_list_headings(name, field)):
+        chosen = np.zeros(field.predicted.shape[:2], bool)
+        chosen[:, number] = True
+        one = find_worst(field, chosen)
+        words = np.where(field.is_accepted[:, number], "", "refused: ")
+        said = [f"{word}{error}" for word, error in zip(words, describe_errors(one), strict=True)]
+        _log_arrows(stream, path, name, one, colours_of(one.error), said, find_thinness(field.truth))
+    for layer, what, shape, words in _draw_layers(field):
+        put(stream, name_layer(name, layer), shape, said={what: words})
+
+
+def _list_headings(name: str, field: ErrorField) -> list[str]:
+    """Entities of a method's errors at each heading; empty if places have headings of their own, or only one."""
+    if field.heading.ndim != 1 or len(field.heading) < 2:
+        return []
+    return [name_layer(name, f"heading/{_degrees(one):03.0f}_deg") for one in field.heading]
+
+
+Layer = tuple[str, str, rr.AsComponents, list[str]]
+"""Entity below the method's, what its tooltip says, shapes, and that text for each shape."""
+
+
+def _draw_layers(field: ErrorField) -> Iterator[Layer]:
+    """The layers of a method besides its errors at each heading."""
+    thin, height_m = find_thinness(field.truth), HEIGHT_M + LAYER_M
+    if field.yaw is not None and field.yaw_error is not None:
+        yield from _draw_yaws(field, field.yaw, np.degrees(field.yaw_error), 0.005 * thin, height_m)
+    worst = split_by_acceptance(field)[0]
+    if worst.radius is not None:  # of 68 %, in the colours of such errors
+        circles = draw_circles(worst.predicted, worst.radius, height_m)
+        rows = zip(100 * worst.radius, 100 * worst.error, strict=True)
+        words = [f"68 % within {radius:.1f} cm, off by {error:.1f} cm" for radius, error in rows]
+        yield "radius", "radius", rr.LineStrips3D(circles, radii=0.003 * thin, colors=colours_of(worst.radius)), words
+    if field.expected is not None:
+        apart = KDTree(field.truth).query(field.truth, min(2, len(field.truth)))[0].reshape(len(field.truth), -1)
+        size_m, colours = float(np.median(apart[:, -1])), colours_of(field.expected)
+        words = [f"{100 * one:.2f} cm expected" for one in field.expected]
+        yield "expected", "expected", _make_tiles(field.truth, size_m, 2 * LAYER_M, colours), words
+
+
+def _draw_yaws(
+    field: ErrorField, yaw: np.ndarray, error_deg: np.ndarray, radius_m: float, height_m: float
+) -> Iterator[Layer]:
+    """Arrows in the predicted directions (C, H) [rad], at the heading with the largest error in position."""
+    rows = np.arange(len(field.truth)), field.error.argmax(axis=1)
+    place, yaw, error = field.predicted[rows], yaw[rows], error_deg[rows]
+    known, wrong = np.isfinite(yaw), np.abs(error) > WRONG_DEG
+    tips = place + YAW_M * np.column_stack([np.cos(yaw), np.sin(yaw)])
+    for part, chosen, colour in (("above_5_deg", known & wrong, WRONG), ("below_5_deg", known & ~wrong, GOOD)):
+        lines = draw_arrows(place[chosen], tips[chosen], height_m)
+        pairs = zip(np.degrees(yaw[chosen]), error[chosen], strict=True)
+        words = [f"{one:.1f}°, off by {off:.1f}°" for one, off in pairs]
+        yield f"yaw/{part}", "yaw", rr.LineStrips3D(lines, radii=radius_m, colors=[colour]), words
 
 
 def log_coverage(stream: rr.RecordingStream, place: np.ndarray, space: FreeSpace) -> None:
@@ -164,60 +194,8 @@ def _log_arrows(
         put(stream, f"{path}/{below}", shape, at, words)
 
 
-def _list_values(field: WorstField) -> rr.AnyValues:
-    return rr.AnyValues(
-        x_m=field.truth[:, 0],
-        y_m=field.truth[:, 1],
-        predicted_x_m=field.predicted[:, 0],
-        predicted_y_m=field.predicted[:, 1],
-        error_m=field.error,
-        heading_deg=_degrees(field.heading),
-    )
-
-
 def _degrees(heading: np.ndarray) -> np.ndarray:
     return np.round(np.degrees(heading)) % 360
-
-
-def _log_yaws(stream: rr.RecordingStream, path: str, field: ErrorField) -> None:
-    """Log arrows in the predicted directions, at the heading with the largest error in position."""
-    if field.yaw is None or field.yaw_error is None:
-        return
-    rows = np.arange(len(field.truth)), field.error.argmax(axis=1)
-    place, yaw, error = field.predicted[rows], field.yaw[rows], np.degrees(field.yaw_error[rows])
-    place, yaw, error = (part[np.isfinite(yaw)] for part in (place, yaw, error))
-    tips = place + YAW_M * np.column_stack([np.cos(yaw), np.sin(yaw)])
-    radius = 0.005 * find_thinness(field.truth)
-    wrong = np.abs(error) > WRONG_DEG
-    for part, chosen, colour in (("above_5_deg", wrong, WRONG), ("below_5_deg", ~wrong, GOOD)):
-        lines = draw_arrows(place[chosen], tips[chosen], HEIGHT_M + LAYER_M)
-        rows = zip(np.degrees(yaw[chosen]), error[chosen], strict=True)
-        words = [f"{one:.1f}°, off by {off:.1f}°" for one, off in rows]
-        shape = rr.LineStrips3D(lines, radii=radius, colors=[colour])
-        put(stream, f"{path}/{part}", shape, said={"yaw": words})
-
-
-def _log_radii(stream: rr.RecordingStream, path: str, field: ErrorField) -> None:
-    """Log the circles of 68 % at the worst accepted heading of each place, in the colours of such errors."""
-    worst = split_by_acceptance(field)[0]
-    if worst.radius is None:
-        return
-    circles = draw_circles(worst.predicted, worst.radius, HEIGHT_M + LAYER_M)
-    rows = zip(100 * worst.radius, 100 * worst.error, strict=True)
-    words = [f"68 % within {radius:.1f} cm, off by {error:.1f} cm" for radius, error in rows]
-    thickness = 0.003 * find_thinness(field.truth)
-    shape = rr.LineStrips3D(circles, radii=thickness, colors=colours_of(worst.radius))
-    put(stream, path, shape, said={"radius": words})
-
-
-def _log_expected(stream: rr.RecordingStream, path: str, field: ErrorField) -> None:
-    """Log the error that the initial map expects at each test position, in the colours of the error field."""
-    if field.expected is None:
-        return
-    apart = KDTree(field.truth).query(field.truth, min(2, len(field.truth)))[0].reshape(len(field.truth), -1)[:, -1]
-    words = [f"{100 * one:.2f} cm expected" for one in field.expected]
-    tiles = _make_tiles(field.truth, float(np.median(apart)), 2 * LAYER_M, colours_of(field.expected))
-    put(stream, path, tiles, said={"expected": words})
 
 
 def _make_tiles(middle: np.ndarray, size_m: float, height_m: float, colours: np.ndarray) -> rr.Boxes3D:

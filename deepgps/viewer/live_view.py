@@ -18,14 +18,14 @@ from deepgps.evaluation.error_field import read_all_headings
 from deepgps.reports.run_report import read_metrics
 from deepgps.reports.table import tabulate
 from deepgps.runs.run_folder import METRICS
+from deepgps.viewer import drive
 from deepgps.viewer.error_field import list_layers
+from deepgps.viewer.layout import STEPS, Layers, make_live_blueprint
 from deepgps.viewer.pictures import make_warp
-from deepgps.viewer.run import drive
-from deepgps.viewer.run.layout import STEPS, Layers, make_live_blueprint
-from deepgps.viewer.run.recording import LAYERS, READING, log_results
-from deepgps.viewer.run.training import History, lay_upon, log_loss, log_snapshots
+from deepgps.viewer.run import LAYERS, READING, log_results
 from deepgps.viewer.scene import log_room
-from deepgps.viewer.timeline import put_text, run_clock
+from deepgps.viewer.stream import put_text, run_clock
+from deepgps.viewer.training import History, log_loss, log_snapshots
 from sim.errors import DamagedError
 from sim.files.checksums import read_arrays
 from sim.recording.format import Truth, chunk_files, has_truth, open_recording, open_truth, work_folder
@@ -129,7 +129,7 @@ class LiveTraining:
             log_loss(self.stream, method, history, run_clock(spread(new)), losses)
         place, maps = self.truth[history["snapshot_index"]], history["snapshot"][snapshots:]
         if len(maps):
-            log_snapshots(self.stream, method, place, lay_upon(method, maps, place), run_clock(spread(len(maps))))
+            log_snapshots(self.stream, method, place, maps, run_clock(spread(len(maps))))
         self.sent[label] = (losses + new, snapshots + len(maps))
 
 

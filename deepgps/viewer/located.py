@@ -11,10 +11,10 @@ import rerun.blueprint as rrb
 
 from deepgps.viewer.connect import find_url, knock, open_viewer
 from deepgps.viewer.error_field import draw_circles
+from deepgps.viewer.layout import aim_eye, arrange, play, room_view
 from deepgps.viewer.live import GONE
 from deepgps.viewer.pictures import enlarge
 from deepgps.viewer.scene import LAYER_M, lift, log_room
-from deepgps.viewer.views import aim_eye, arrange, room_view
 from sim.errors import InputError, one_line
 from sim.geometry import FreeSpace
 from sim.recording.format import has_truth, open_truth
@@ -91,26 +91,24 @@ class LocatedView:
         if time_s is not None:
             self.stream.set_time(TIME, timestamp=time_s)
         self.number += 1
-        self.stream.log("image", rr.Image(enlarge(polar, LARGER)).compress(jpeg_quality=85))
-        refused = accepted is not None and not accepted
-        self._log_robot(np.asarray(position, float), yaw, radius_m, REFUSED if refused else ROBOT)
+        refused, position = accepted is not None and not accepted, np.asarray(position, float)
         if not refused and np.isfinite(position).all():
-            self.trail.append(np.asarray(position, float))
-        way = lift(np.array(self.trail).reshape(-1, 2), LAYER_M)
-        self.stream.log("world/located/way", rr.LineStrips3D([way], colors=[WAY], radii=0.008))
-        if radius_m is not None:
-            self.stream.log("radius", rr.Scalars(radius_m))
-
-    def _log_robot(
-        self, position: np.ndarray, yaw: float | None, radius_m: float | None, colour: tuple[int, int, int]
-    ) -> None:
-        at, root = lift(position[None], 2 * LAYER_M), "world/located"
-        self.stream.log(f"{root}/position", rr.Points3D(at, radii=0.05, colors=[colour]))
+            self.trail.append(position)
+        at, colour = lift(position[None], 2 * LAYER_M), REFUSED if refused else ROBOT
         arrow = [] if yaw is None or np.isnan(yaw) else [[ARROW_M * np.cos(yaw), ARROW_M * np.sin(yaw), 0.0]]
-        origins = at if arrow else np.empty((0, 3))
-        self.stream.log(f"{root}/yaw", rr.Arrows3D(vectors=arrow, origins=origins, radii=0.02, colors=[colour]))
         circle = draw_circles(position[None], np.array([radius_m or 0.0]), LAYER_M)
-        self.stream.log(f"{root}/radius", rr.LineStrips3D(circle, colors=[colour], radii=0.006))
+        way = lift(np.array(self.trail).reshape(-1, 2), LAYER_M)
+        things = {
+            "image": rr.Image(enlarge(polar, LARGER)).compress(jpeg_quality=85),
+            "world/located/position": rr.Points3D(at, radii=0.05, colors=[colour]),
+            "world/located/yaw": rr.Arrows3D(vectors=arrow, origins=at[: len(arrow)], radii=0.02, colors=[colour]),
+            "world/located/radius": rr.LineStrips3D(circle, colors=[colour], radii=0.006),
+            "world/located/way": rr.LineStrips3D([way], colors=[WAY], radii=0.008),
+            "radius": None if radius_m is None else rr.Scalars(radius_m),
+        }
+        for path, thing in things.items():
+            if thing is not None:
+                self.stream.log(path, thing)
 
 
 def make_blueprint(space: FreeSpace | None) -> rrb.Blueprint:
@@ -125,5 +123,4 @@ def make_blueprint(space: FreeSpace | None) -> rrb.Blueprint:
         rrb.Spatial2DView(name="Polar image", origin="image"),
         rrb.TimeSeriesView(name="Radius of 95 % [m]", origin="radius"),
     )
-    time = rrb.TimePanel(state="collapsed", timeline=IMAGE, play_state="following")
-    return arrange([rrb.Horizontal(room, beside, column_shares=[5, 2], name="Located")], time)
+    return arrange([rrb.Horizontal(room, beside, column_shares=[5, 2], name="Located")], play(IMAGE))

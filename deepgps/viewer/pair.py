@@ -22,12 +22,11 @@ from deepgps.reports.run_report import COLUMNS, read_metrics
 from deepgps.reports.table import tabulate
 from deepgps.runs.run_folder import open_run
 from deepgps.viewer.error_field import find_thinness, log_field
-from deepgps.viewer.plot import distribution_view, log_distribution
-from deepgps.viewer.run.recording import hash_run
-from deepgps.viewer.save import holds, save_recording
+from deepgps.viewer.layout import aim_eye, arrange, distribution_view, room_view, text_view
+from deepgps.viewer.plot import log_distribution
+from deepgps.viewer.run import hash_run
 from deepgps.viewer.scene import LAYER_M, STRIP, lift, log_room, log_scale, log_strip
-from deepgps.viewer.timeline import put_text
-from deepgps.viewer.views import aim_eye, arrange, field_view, room_view, text_view
+from deepgps.viewer.stream import holds, put_text, save_recording
 from sim.errors import InputError
 from sim.geometry import FreeSpace, limits
 from sim.recording.format import open_truth
@@ -64,6 +63,11 @@ class Side:
     metrics: Mapping[str, Any]
     fields: Mapping[str, ErrorField]
     space: FreeSpace
+
+    @property
+    def scene(self) -> Path:
+        """The file of its room."""
+        return self.folder / "recording" / "scene.glb"
 
 
 @dataclass(frozen=True)
@@ -120,8 +124,8 @@ def open_pair(folders: Sequence[Path]) -> Pair:
     )
     methods = [name for name in a.fields if name in b.fields]
     if not methods:
-        names = [", ".join(side.fields) for side in (a, b)]
-        raise InputError(f"no method is in both runs: {a.folder} has {names[0]}, {b.folder} has {names[1]}")
+        has = ", ".join(f"{side.folder} has {', '.join(side.fields)}" for side in (a, b))
+        raise InputError(f"no method is in both runs: {has}")
     places = (a.fields[methods[0]].truth, b.fields[methods[0]].truth)
     same = np.array_equal(*places) and np.array_equal(a.space.reachable, b.space.reachable)
     return Pair({"a": a, "b": b}, methods, same)
@@ -144,26 +148,23 @@ def describe_pair(pair: Pair) -> str:
         [f"**{root.upper()}**", side.folder.resolve().name, str(side.metrics["scenario"]), str(side.metrics["seed"])]
         for root, side in pair.sides.items()
     ]
-    return "\n\n".join(
-        [
-            "# B compared with A",
-            tabulate(["", "run", "scenario", "seed"], runs),
-            _list_settings(pair),
-            _list_places(pair),
-            "Errors [cm] for the worst heading of each test position:",
-            *(_list_figures(pair, names) for names in TABLES),
-        ]
-    )
+    blocks = [
+        "# B compared with A",
+        tabulate(["", "run", "scenario", "seed"], runs),
+        _list_settings(pair),
+        _list_places(pair),
+        "Errors [cm] for the worst heading of each test position:",
+        *(_list_figures(pair, names) for names in TABLES),
+    ]
+    return "\n\n".join(blocks)
 
 
 def _list_settings(pair: Pair) -> str:
     """A table of the settings that differ, without ``methods``, since only common methods are shown."""
     a, b = (list_settings(open_run(side.folder)) for side in pair.sides.values())
     differ = [name for name in a | b if a.get(name) != b.get(name) and name != "methods"]
-    if not differ:
-        return "Both runs have the same settings."
     rows = [[name, str(a.get(name, "-")), str(b.get(name, "-"))] for name in differ]  # of plugins, one may lack some
-    return tabulate(["different setting", "A", "B"], rows)
+    return tabulate(["different setting", "A", "B"], rows) if rows else "Both runs have the same settings."
 
 
 def _list_places(pair: Pair) -> str:
@@ -195,8 +196,8 @@ def _list_figures(pair: Pair, names: Sequence[str]) -> str:
 
 def _log_pair(stream: rr.RecordingStream, pair: Pair) -> None:
     for root, side in pair.sides.items():
-        log_room(stream, side.folder / "recording" / "scene.glb", side.space, root)
-        log_scale(stream, side.space, root)
+        log_room(stream, side.scene, side.space, root)
+        log_scale(stream, f"{root}/scale", *limits(side.space))
         for name in pair.methods:
             log_field(stream, name, side.fields[name], root=root)
     if pair.same_floor:
@@ -208,18 +209,14 @@ def _log_pair(stream: rr.RecordingStream, pair: Pair) -> None:
 def _log_changes(stream: rr.RecordingStream, pair: Pair) -> None:
     """Log the room, and in it a dot at each test position with both errors as text, and the changes as values."""
     a = pair.sides["a"]
-    log_room(stream, a.folder / "recording" / "scene.glb", a.space, "change")
+    log_room(stream, a.scene, a.space, "change")
     labels = {(change + 1) / 2: label for change, label in LABELS.items()}
     log_strip(stream, "change/scale", *limits(a.space), colours_of_change(np.linspace(-1, 1, STRIP)), labels)
     for name in pair.methods:
         truth, change = a.fields[name].truth, pair.change(name)
-        radius = 0.03 * find_thinness(truth)
-        dots = rr.Points3D(
-            lift(truth, LAYER_M + radius),  # on the floor, not half below it
-            radii=radius,
-            colors=colours_of_change(scale_change(change)),
-            point_shading="Flat",
-        )
+        radius, colours = 0.03 * find_thinness(truth), colours_of_change(scale_change(change))
+        place = lift(truth, LAYER_M + radius)  # on the floor, not half below it
+        dots = rr.Points3D(place, radii=radius, colors=colours, point_shading="Flat")
         rows = zip(100 * change, *(100 * error for error in pair.errors(name)), strict=True)
         words = [f"{one:+.1f} cm: A {before:.1f}, B {after:.1f}" for one, before, after in rows]
         stream.log(f"change/field/{name}/places", dots, rr.AnyValues(change=words), static=True)
@@ -228,15 +225,15 @@ def _log_changes(stream: rr.RecordingStream, pair: Pair) -> None:
 
 def _make_blueprint(pair: Pair) -> rrb.Blueprint:
     """The viewer's layout for a pair: the difference, if both runs share a floor, then both runs side by side."""
+    around = ["room", "floor_plan", "scale/**"]
     fields = [
         rrb.Vertical(
             *(
-                field_view(
+                room_view(
                     f"{root.upper()}: error field of {title_of(name)}",
-                    name,
+                    [*around, f"error_field/{name}/**"],
                     aim_eye(side.space, tilt=0.35),
-                    ["room", "floor_plan", "scale/**"],
-                    root=root,
+                    root,
                 )
                 for root, side in pair.sides.items()
             ),
@@ -245,14 +242,13 @@ def _make_blueprint(pair: Pair) -> rrb.Blueprint:
         for name in pair.methods
     ]
     text = text_view("Figures", "report/pair")
-    beside = rrb.Horizontal(rrb.Tabs(*fields), text, column_shares=[5, 2], name="Side by side")
-    difference = [rrb.Horizontal(_change_views(pair), text, column_shares=[5, 2], name="Difference")]
-    return arrange(
-        [*(difference if pair.same_floor else []), beside, distribution_view()], rrb.TimePanel(state="hidden")
-    )
+    tabs = {"Difference": _change_views(pair)} if pair.same_floor else {}
+    tabs["Side by side"] = rrb.Tabs(*fields)
+    beside = [rrb.Horizontal(tab, text, column_shares=[5, 2], name=name) for name, tab in tabs.items()]
+    return arrange([*beside, distribution_view()], rrb.TimePanel(state="hidden"))
 
 
-def _change_views(pair: Pair) -> rrb.Vertical:
+def _change_views(pair: Pair) -> rrb.Container:
     """The first method's changes in the furnished room, and the other methods' as plans."""
     first, *others = pair.methods
     space = pair.sides["a"].space

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import rerun as rr
 
-from deepgps.viewer.timeline import Rows
+from deepgps.viewer.stream import Rows, send_rows
 from sim.errors import DamagedError
 from sim.files.checksums import read_arrays, write_arrays
 from sim.recording.format import open_recording, open_truth
@@ -80,5 +80,4 @@ def encode_jpeg(image: np.ndarray) -> bytes:
 
 def log_jpegs(stream: rr.RecordingStream, path: str, blobs: Iterable[bytes], at: Rows) -> None:
     """Log pictures in JPEG at so many times."""
-    stream.log(path, rr.EncodedImage.from_fields(media_type="image/jpeg"), static=True)
-    stream.send_columns(path, at, rr.EncodedImage.columns(blob=list(blobs)))
+    send_rows(stream, path, rr.EncodedImage, at, {"blob": list(blobs)}, {"media_type": "image/jpeg"})

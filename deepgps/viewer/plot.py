@@ -13,8 +13,8 @@ from matplotlib import ticker
 
 from deepgps.config.methods import title_of
 from deepgps.reports.plots import colour_on_dark
-from deepgps.viewer.timeline import Rows, put
-from deepgps.viewer.views import STILL
+from deepgps.viewer.scene import STILL
+from deepgps.viewer.stream import Rows, put
 
 WIDTH = 2.1
 LEGEND = 0.8  # width of the legend
@@ -97,25 +97,30 @@ def log_plot(stream: rr.RecordingStream, path: str, x: Axis, y: Axis, curves: Se
     """Log a plot below an entity, statically or from the places ``at`` on."""
     columns, rows = WIDTH * x.share(list(x.ticks)), 1 - y.share(list(y.ticks))
     grid = [[(column, 0), (column, 1)] for column in columns] + [[(0, row), (WIDTH, row)] for row in rows]
-    put(stream, f"{path}/axes", rr.LineStrips2D(grid, colors=GRID, radii=rr.Radius.ui_points(0.6)), at)
-    _put_text(
-        stream, f"{path}/axes/x", list(zip(columns, np.ones(len(columns)), strict=True)), list(x.ticks.values()), at
-    )
-    beside = [(-0.09, row - 0.035) for row in rows]  # a label is drawn below its point
-    _put_text(stream, f"{path}/axes/y", beside, list(y.ticks.values()), at)
-    _put_text(stream, f"{path}/axes/titles", [(WIDTH + 0.55 * LEGEND, 0.75), (0.1, -0.2)], [x.title, y.title], at)
     titled = [curve for curve in curves if curve.title]
     height = min(ROW, ROWS / max(len(titled), 1))
-    places = [(WIDTH + LEGEND / 2, height * row) for row in range(len(titled))]
-    _put_text(stream, f"{path}/legend", places, [one.title for one in titled], at, [one.colour for one in titled])
+    put(stream, f"{path}/axes", rr.LineStrips2D(grid, colors=GRID, radii=rr.Radius.ui_points(0.6)), at)
+    for entity, places, labels, colours in (  # a label is drawn below its point
+        ("axes/x", [(column, 1) for column in columns], list(x.ticks.values()), [INK]),
+        ("axes/y", [(-0.09, row - 0.035) for row in rows], list(y.ticks.values()), [INK]),
+        ("axes/titles", [(WIDTH + 0.55 * LEGEND, 0.75), (0.1, -0.2)], [x.title, y.title], [INK]),
+        (
+            "legend",
+            [(WIDTH + LEGEND / 2, height * row) for row in range(len(titled))],
+            [one.title for one in titled],
+            [one.colour for one in titled],
+        ),
+    ):
+        points, radius = np.asarray(places, float).reshape(-1, 2), rr.Radius.ui_points(0)
+        text = rr.Points2D(points, labels=labels, show_labels=True, radii=radius, colors=colours)
+        put(stream, f"{path}/{entity}", text, at)
     for curve in curves:
         points = np.stack([WIDTH * x.share(curve.x), 1 - y.share(curve.y)], axis=1)
         line = rr.LineStrips2D([points], colors=[curve.colour], radii=rr.Radius.ui_points(1.2 if curve.title else 0.6))
         put(stream, f"{path}/curves/{curve.name}", line, at)
         if curve.marked:
-            said = rr.AnyValues(x=np.asarray(curve.x, float), y=np.asarray(curve.y, float))
             dots = rr.Points2D(points, colors=[curve.colour], radii=rr.Radius.ui_points(3.5))
-            for thing in (dots, said):
+            for thing in (dots, rr.AnyValues(x=np.asarray(curve.x, float), y=np.asarray(curve.y, float))):
                 put(stream, f"{path}/curves/{curve.name}/points", thing, at)
 
 
@@ -135,19 +140,6 @@ def plot_view(name: str, path: str) -> rrb.Spatial2DView:
         visual_bounds=rrb.VisualBounds2D(x_range=(-0.2, WIDTH + LEGEND), y_range=(-0.24, 1.2)),
         overrides={f"{path}/{one}": STILL for one in ("axes", "legend", "cursor")},
     )
-
-
-def _put_text(
-    stream: rr.RecordingStream,
-    path: str,
-    places: Sequence[tuple[float, float]],
-    labels: Sequence[str],
-    at: Rows,
-    colours: Sequence[tuple[int, ...]] = (INK,),
-) -> None:
-    points = np.asarray(places, float).reshape(-1, 2)
-    radius = rr.Radius.ui_points(0)
-    put(stream, path, rr.Points2D(points, labels=labels, show_labels=True, radii=radius, colors=list(colours)), at)
 
 
 def log_distribution(
@@ -170,8 +162,3 @@ def log_distribution(
             curves.append(Curve(f"{method}{f'_{label}' if label else ''}", title, colour, centimetres, share))
     x = make_axis("error of the worst heading [cm]", np.concatenate([curve.x for curve in curves]), log=True)
     log_plot(stream, DISTRIBUTION, x, make_axis("test positions [%]", [0, 100]), curves)
-
-
-def distribution_view() -> rrb.Spatial2DView:
-    """A view of the plot."""
-    return plot_view("Distribution of errors", DISTRIBUTION)

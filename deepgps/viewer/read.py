@@ -47,13 +47,8 @@ def read_error_table(path: Path, root: str = "world") -> pa.Table:
     fields = _read_fields(path, root)
     if not fields:
         raise InputError(f"{path} has no error field below {root!r}")
-    values = [
-        np.column_stack([field.truth, field.predicted, field.error, np.degrees(field.heading)])
-        for field in fields.values()
-    ]
-    columns = dict(zip(COLUMNS, np.concatenate(values).T, strict=True))
-    methods = [name for name, field in fields.items() for _ in range(len(field.error))]
-    return pa.table({**columns, "method": methods})
+    columns = dict(zip(COLUMNS, np.concatenate(list(fields.values()), axis=1), strict=True))
+    return pa.table({**columns, "method": [name for name, values in fields.items() for _ in values[0]]})
 
 
 def read_error_field(path: Path, method: str, root: str = "world") -> WorstField:
@@ -70,7 +65,8 @@ def read_error_field(path: Path, method: str, root: str = "world") -> WorstField
     fields = _read_fields(path, root)
     if method not in fields:
         raise InputError(f"{path} has no method {method!r}; it has {', '.join(sorted(fields)) or 'none'}")
-    return fields[method]
+    x, y, *predicted, error, heading = fields[method]
+    return WorstField(np.stack([x, y], axis=1), np.stack(predicted, axis=1), error, np.radians(heading))
 
 
 def read_entity(path: Path, entity: str) -> pa.Table:
@@ -99,8 +95,8 @@ def read_entity(path: Path, entity: str) -> pa.Table:
     return pa.concat_tables(parts, promote_options="default")
 
 
-def _read_fields(path: Path, root: str) -> dict[str, WorstField]:
-    """The error fields below an entity by method name, in the order of the file."""
+def _read_fields(path: Path, root: str) -> dict[str, np.ndarray]:
+    """The columns (6, n) of the error fields below an entity by method name, in the order of the file."""
     below = f"/{root}/error_field/"
     fields, moving = {}, False
     for chunk in open_rrd(path).stream():
@@ -108,12 +104,8 @@ def _read_fields(path: Path, root: str) -> dict[str, WorstField]:
         if chunk.entity_path.startswith(below):
             moving |= bool(chunk.timeline_names)
             if "/" not in name:
-                fields[name] = _make_field(chunk.to_record_batch())
+                batch = chunk.to_record_batch()
+                fields[name] = np.stack([batch.column(one).flatten().to_numpy() for one in COLUMNS])
     if moving:
         raise InputError(f"{path} has error fields of several runs; read_entity returns them with their times")
     return fields
-
-
-def _make_field(batch: pa.RecordBatch) -> WorstField:
-    x, y, *predicted, error, heading = (batch.column(name).flatten().to_numpy() for name in COLUMNS)
-    return WorstField(np.stack([x, y], axis=1), np.stack(predicted, axis=1), error, np.radians(heading))

@@ -10,16 +10,20 @@ from pathlib import Path
 import cv2
 import numpy as np
 import rerun as rr
+import rerun.blueprint as rrb
 import trimesh
 from matplotlib.colors import hsv_to_rgb, to_rgb
 
 from deepgps.reports.plots import SCALE_M, SCREEN, TICKS_M, colours_of
-from deepgps.viewer.timeline import Rows, put
+from deepgps.viewer.stream import Rows, put
 from sim.errors import InputError
 from sim.geometry import FreeSpace, limits
 
 LAYER_M = 0.01  # height of one drawn layer above the next
 STRIP = 65  # colours along a scale
+STILL = rrb.EntityBehavior(interactive=False)
+BACKDROP = ("room", "floor_plan", "outline", "scale")
+"""Entities that cannot tell anything and so do not catch the pointer."""
 
 
 def log_room(stream: rr.RecordingStream, scene: Path, space: FreeSpace, root: str = "world") -> None:
@@ -50,12 +54,7 @@ def log_floor(stream: rr.RecordingStream, space: FreeSpace, at: Rows = (), root:
     put(stream, f"{root}/outline", rr.LineStrips3D(strips, radii=0.008, colors=[120, 130, 150]), at)
 
 
-def log_scale(stream: rr.RecordingStream, space: FreeSpace, root: str = "world") -> None:
-    """Log the colour scale of errors as a strip on the floor in front of the room."""
-    log_scale_below(stream, f"{root}/scale", *limits(space))
-
-
-def log_scale_below(stream: rr.RecordingStream, path: str, low: np.ndarray, high: np.ndarray) -> None:
+def log_scale(stream: rr.RecordingStream, path: str, low: np.ndarray, high: np.ndarray) -> None:
     """Log the colour scale of errors as a strip below a rectangle of the floor, from ``low`` to ``high`` (2,) [m]."""
     decades = np.log(SCALE_M[1] / SCALE_M[0])
     ticks = np.array(TICKS_M)
@@ -72,25 +71,13 @@ def log_strip(
     colours: np.ndarray,
     labels: Mapping[float, str],
 ) -> None:
-    """Log a strip of colours below a rectangle of the floor.
-
-    Args:
-        stream: Stream to log to.
-        path: Entity of the strip; its labels are logged below it.
-        low: South-west corner of the rectangle (2,) [m].
-        high: North-east corner of the rectangle (2,) [m].
-        colours: Colours from left to right (``STRIP``, 4) uint8.
-        labels: Labels by their position, as a share of the strip's length.
-    """
+    """Log colours (``STRIP``, 4) as such a strip, with labels by their positions as shares of its length."""
     width = 0.9 * max(high[0] - low[0], 1.4 * (high[1] - low[1]))  # views are wider than a square room
     left, bottom = (low[0] + high[0] - width) / 2, low[1] - 0.35
     ends = np.stack([left + np.linspace(0, 1, STRIP) * width, np.full(STRIP, bottom)], axis=1)
     vertices = np.concatenate([lift(ends, 0.0), lift(ends + [0, 0.12], 0.0)])
-    first = np.arange(STRIP - 1)
-    above = first + STRIP
-    triangles = np.concatenate(
-        [np.stack([first, first + 1, above + 1], axis=1), np.stack([first, above + 1, above], axis=1)]
-    )
+    first = np.arange(STRIP - 1)[:, None]
+    triangles = np.concatenate([first + [0, 1, STRIP + 1], first + [0, STRIP + 1, STRIP]])
     mesh = rr.Mesh3D(vertex_positions=vertices, triangle_indices=triangles, vertex_colors=np.tile(colours, (2, 1)))
     stream.log(path, mesh, static=True)
     share = np.array(list(labels))

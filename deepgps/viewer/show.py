@@ -21,8 +21,8 @@ from deepgps.reports.plots import COLOURS
 from deepgps.runs.run_folder import is_study
 from deepgps.viewer.connect import HOST, find_free_port, has_display, send_file, start_viewer, url_of, wait_for_port
 from deepgps.viewer.pair import CHANGE, write_pair
-from deepgps.viewer.run.recording import find_recording, lacks_truth
-from deepgps.viewer.study.study import find_study
+from deepgps.viewer.run import find_recording, lacks_truth
+from deepgps.viewer.study import find_study
 from sim.errors import InputError, WorkError
 from sim.files.atomic import write_bytes
 

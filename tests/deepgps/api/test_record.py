@@ -7,7 +7,7 @@ import pytest
 
 import deepgps
 from deepgps.runs.source import choose_folder
-from deepgps.viewer.run.recording import find_recording
+from deepgps.viewer.run import find_recording
 from sim.recording.format import check_recording, has_truth, open_recording, open_truth
 from sim.recording.manifest import ObservationKind
 from tests.helpers.command import deepgps_here

@@ -21,7 +21,7 @@ from deepgps.studies.plan import Plan, plan_runs
 from deepgps.studies.study import load_study
 from deepgps.studies.table import gather, varied_in
 from deepgps.terminal.progress import Report
-from deepgps.viewer.run.recording import find_recording
+from deepgps.viewer.run import find_recording
 from sim.errors import InputError, WorkError
 from sim.files.checksums import read_json, write_arrays, write_json
 from sim.recording.format import check_recording

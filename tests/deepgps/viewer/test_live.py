@@ -22,12 +22,12 @@ from deepgps.evaluation.error_field import find_worst, read_all_headings
 from deepgps.runs.run_folder import open_run
 from deepgps.terminal.progress import Look, ignore
 from deepgps.viewer.connect import find_url, open_viewer
+from deepgps.viewer.drive import ROBOT
 from deepgps.viewer.error_field import PARTS
 from deepgps.viewer.live import show_live
 from deepgps.viewer.live_view import LiveDrive, LiveView
 from deepgps.viewer.read import read_entity
-from deepgps.viewer.run.drive import ROBOT
-from deepgps.viewer.timeline import RUN_TIME
+from deepgps.viewer.stream import RUN_TIME
 from sim.errors import InputError, WorkError
 from sim.files.checksums import write_arrays
 from sim.recording.format import chunk_files, open_truth, work_folder

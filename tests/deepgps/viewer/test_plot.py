@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from deepgps.viewer.plot import Curve, log_plot, make_axis, plot_view
 from deepgps.viewer.read import read_entity
-from deepgps.viewer.save import save_recording
-from deepgps.viewer.study.sliders import Slider, Step
+from deepgps.viewer.sliders import Slider, Step
+from deepgps.viewer.stream import save_recording
 
 VALUES = st.lists(st.floats(1e-3, 1e3), min_size=1, max_size=20)
 

@@ -22,7 +22,7 @@ from deepgps.evaluation.error_field import read_all_headings, split_by_acceptanc
 from deepgps.reports.plots import COLOURS, colours_of
 from deepgps.viewer import connect
 from deepgps.viewer.connect import HOST, open_viewer, start_viewer, wait_for_port
-from deepgps.viewer.run.recording import RECORDING, write_run
+from deepgps.viewer.run import RECORDING, write_run
 from deepgps.viewer.show import choose_ports, shows_scale
 from sim.errors import InputError, WorkError
 from tests.helpers.command import deepgps_here, read_line, started

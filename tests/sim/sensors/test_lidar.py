@@ -9,9 +9,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from deepgps.viewer.drive import ROBOT
 from deepgps.viewer.read import open_rrd
-from deepgps.viewer.run.drive import ROBOT
-from deepgps.viewer.run.recording import RECORDING
+from deepgps.viewer.run import RECORDING
 from sim.recording.collect import collect
 from sim.recording.format import check_recording, open_recording, open_truth
 from sim.robot.chassis import compile_scene

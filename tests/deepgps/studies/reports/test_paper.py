@@ -14,7 +14,7 @@ from deepgps.studies.study import load_study
 from deepgps.studies.table import Row
 from deepgps.terminal.progress import ignore
 from deepgps.viewer.read import open_rrd, read_error_field
-from deepgps.viewer.run.recording import RECORDING
+from deepgps.viewer.run import RECORDING
 from sim.errors import InputError
 from sim.files.checksums import read_json
 

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deepgps.viewer.run import places
-from deepgps.viewer.run.places import find_alike
+from deepgps.viewer import places
+from deepgps.viewer.places import find_alike
 
 
 def make_recording(observation: np.ndarray, kind: str) -> Any:

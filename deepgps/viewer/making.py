@@ -14,7 +14,7 @@ from deepgps.data.segments import find_starts
 from deepgps.evaluation.map_errors import read_known_map
 from deepgps.initial_map.stored_map import StoredMap
 from deepgps.viewer.scene import LAYER_M, lift
-from deepgps.viewer.timeline import Rows, making_rows, put, put_text
+from deepgps.viewer.stream import Rows, making_rows, put, put_text
 from sim.alignment import Alignment, fit_alignment
 from sim.recording.format import Recording
 

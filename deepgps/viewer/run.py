@@ -18,15 +18,11 @@ from deepgps.diagnosis.store import FILE as DIAGNOSIS
 from deepgps.evaluation.error_field import ErrorField, read_all_headings
 from deepgps.evaluation.map_errors import find_true_camera
 from deepgps.evaluation.without_truth import read_judged
-from deepgps.reports import run_figures
+from deepgps.reports.run_figures import read_histories
 from deepgps.reports.run_report import OVERVIEW, describe, judge_run, markdown_report, markdown_table, read_metrics
 from deepgps.reports.without_truth import markdown
 from deepgps.runs.run_folder import METRICS, WITHOUT_TRUTH
-from deepgps.viewer.error_field import list_layers, log_coverage, log_field, log_layers
-from deepgps.viewer.pictures import LARGE, PICTURES, read_pictures
-from deepgps.viewer.plot import log_distribution
-from deepgps.viewer.read import open_rrd
-from deepgps.viewer.run.drive import (
+from deepgps.viewer.drive import (
     LEG,
     RECKONED,
     find_pictures,
@@ -37,15 +33,18 @@ from deepgps.viewer.run.drive import (
     log_path,
     log_ticks,
 )
-from deepgps.viewer.run.layout import FIGURES, make_blueprint, make_blueprint_without_truth
-from deepgps.viewer.run.making import find_map, log_making
-from deepgps.viewer.run.places import find_places, log_places
-from deepgps.viewer.run.training import log_loss, log_points, log_training, loss_rows, snapshot_rows
-from deepgps.viewer.save import hash_files, save_recording
+from deepgps.viewer.error_field import list_layers, log_coverage, log_field, log_layers
+from deepgps.viewer.layout import FIGURES, make_blueprint, make_blueprint_without_truth
+from deepgps.viewer.making import find_map, log_making
+from deepgps.viewer.pictures import LARGE, PICTURES, read_pictures
+from deepgps.viewer.places import find_places, log_places
+from deepgps.viewer.plot import log_distribution
+from deepgps.viewer.read import open_rrd
 from deepgps.viewer.scene import log_room, log_scale
-from deepgps.viewer.timeline import drive_clock, put_text, send_series
+from deepgps.viewer.stream import drive_clock, hash_files, put_text, save_recording, send_series
+from deepgps.viewer.training import log_loss, log_points, log_snapshots, training_rows
 from sim.files.checksums import is_intact
-from sim.geometry import FreeSpace
+from sim.geometry import FreeSpace, limits
 from sim.recording.format import Recording, has_truth, is_whole, open_recording, open_truth
 
 RECORDING = "run.rrd"
@@ -74,20 +73,14 @@ def write_run(run: Path) -> Path:
     path = run / RECORDING
     if lacks_truth(run):
         return _write_without_truth(run, path)
-    metrics, fields, histories = read_metrics(run), read_all_headings(run), run_figures.read_histories(run)
+    metrics, fields, histories = read_metrics(run), read_all_headings(run), read_histories(run)
     recording, truth = open_recording(run / "recording"), open_truth(run / "recording")
     space, driven = truth.free_space, truth.pose[:, :2]
     pictures = read_pictures(run)
     mapped, stored = find_map(run, fields)
     titles = ({LARGE: "Fisheye, drawn larger for people"} if pictures else {}) | find_pictures(recording)
-    blueprint = make_blueprint(
-        space,
-        {name: list_layers(name, field) for name, field in fields.items()},
-        list(histories),
-        titles,
-        float(recording.time[-1] - recording.time[0]),
-        mapped,
-    )
+    layers = {name: list_layers(name, field) for name, field in fields.items()}
+    blueprint = make_blueprint(space, layers, list(histories), titles, _find_length_s(recording), mapped)
 
     def log(stream: rr.RecordingStream) -> None:
         log_room(stream, recording.folder / "scene.glb", space)
@@ -99,7 +92,9 @@ def write_run(run: Path) -> Path:
         if stored is not None:
             log_making(stream, stored, recording, find_true_camera(recording, truth))
         for name, history in histories.items():
-            log_training(stream, name, history, driven)
+            losses, snapshots = training_rows(history)
+            log_loss(stream, name, history, losses)
+            log_snapshots(stream, name, driven[history["snapshot_index"]], history["snapshot"], snapshots)
         log_distribution(stream, {name: [field.worst] for name, field in fields.items()})
 
     save_recording(path, hash_run(run), f"{metrics['scenario']}, seed {metrics['seed']}", blueprint, log)
@@ -140,7 +135,7 @@ def log_results(
         driven: True positions of the training images (N, 2) [m].
         notes: How to read what is shown.
     """
-    log_scale(stream, space)
+    log_scale(stream, "world/scale", *limits(space))
     for name, field in fields.items():
         log_field(stream, name, field)
         log_layers(stream, name, field)
@@ -169,30 +164,25 @@ def hash_run(run: Path) -> str:
 
 
 def _write_without_truth(run: Path, path: Path) -> Path:
-    recording = open_recording(run / "recording")
+    recording, histories = open_recording(run / "recording"), read_histories(run)
     reckoned = dead_reckon(recording)[:, :2]
-    histories = run_figures.read_histories(run)
 
     def log(stream: rr.RecordingStream) -> None:
         _log_drive(stream, recording, reckoned)
         for name, history in histories.items():
-            log_loss(stream, name, history, loss_rows(history))
-            snapshot = history["snapshot"].astype(float)
-            log_points(stream, f"map/{name}", snapshot[-1], list(snapshot), snapshot_rows(history))
+            losses, snapshots = training_rows(history)
+            log_loss(stream, name, history, losses)
+            points = history["snapshot"].astype(float)
+            log_points(stream, f"map/{name}", points[-1], points, snapshots)
         log_diagnosis(stream, run)
         known = markdown(run) if read_judged(run) else ""
         put_text(stream, "report", f"{WITHOUT_TRUTH_NOTE}\n\n{known}")
 
     last = {name: history["snapshot"][-1] for name, history in histories.items()}
-    shown = [
-        run / "recording" / "manifest.json",
-        *sorted(run.glob("*/history.npz")),
-        *run.glob(DIAGNOSIS),
-        *run.glob(WITHOUT_TRUTH),
-    ]
-    drive_s = float(recording.time[-1] - recording.time[0])
-    blueprint = make_blueprint_without_truth(find_pictures(recording), drive_s, reckoned, last)
-    save_recording(path, hash_files(run, shown), f"{run.name}, without truth", blueprint, log)
+    others = [*sorted(run.glob("*/history.npz")), *run.glob(DIAGNOSIS), *run.glob(WITHOUT_TRUTH)]
+    blueprint = make_blueprint_without_truth(find_pictures(recording), _find_length_s(recording), reckoned, last)
+    number = hash_files(run, [run / "recording" / "manifest.json", *others])
+    save_recording(path, number, f"{run.name}, without truth", blueprint, log)
     return path
 
 
@@ -203,3 +193,7 @@ def _log_drive(stream: rr.RecordingStream, recording: Recording, reckoned: np.nd
     send_series(stream, "drive/distance/encoder", clock(recording.time), distance, "by encoder", RECKONED)
     log_ticks(stream, recording)
     log_images(stream, recording)
+
+
+def _find_length_s(recording: Recording) -> float:
+    return float(recording.time[-1] - recording.time[0])

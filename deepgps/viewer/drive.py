@@ -4,7 +4,6 @@ The same functions log a finished drive and, part by part, one that is being col
 """
 
 from collections.abc import Iterable
-from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +16,7 @@ from deepgps.reports import plots
 from deepgps.reports.wheels_page import describe_encoders, draw_segments, write_markdown
 from deepgps.viewer.pictures import LARGE, encode_jpeg, log_jpegs, make_warp, warp_round
 from deepgps.viewer.scene import LAYER_M, lift
-from deepgps.viewer.timeline import Clock, Rows, drive_clock, put_text, send_rows, send_series
+from deepgps.viewer.stream import Clock, Rows, drive_clock, put, put_text, send_rows, send_series
 from sim.recording.format import Recording, Truth
 from sim.sensors.catalog import SENSORS
 from sim.settings import CameraSettings
@@ -102,16 +101,14 @@ def log_path(
         time: Time of each reading (R,) [s].
         clock: The timelines.
     """
-    place = lift(place, LAYER_M)
-    start = find_starts(segment)
-    end = find_lasts(start)
+    place, start = lift(place, LAYER_M), find_starts(segment)
     for name, radius_m, colour, rows in (
-        ("path", 0.006, [*colours[0], 150], end),
+        ("path", 0.006, [*colours[0], 150], find_lasts(start)),
         ("leg", 0.012, colours[1], np.arange(len(place))),
     ):
-        strips = rr.LineStrips3D.columns(strips=np.stack([place[start[rows]], place[rows]], axis=1))
-        line = rr.LineStrips3D.from_fields(radii=radius_m, colors=colour)
-        send_rows(stream, f"{root}/{name}", line, strips, clock(time[rows]))
+        strips = {"strips": np.stack([place[start[rows]], place[rows]], axis=1)}
+        style = {"radii": radius_m, "colors": colour}
+        send_rows(stream, f"{root}/{name}", rr.LineStrips3D, clock(time[rows]), strips, style)
 
 
 def log_images(stream: rr.RecordingStream, recording: Recording) -> None:
@@ -133,12 +130,9 @@ def log_images(stream: rr.RecordingStream, recording: Recording) -> None:
 
 def log_polar(stream: rr.RecordingStream, images: Iterable[np.ndarray], warp: np.ndarray, at: Rows) -> None:
     """Log polar images (rings, sectors, 3) at so many times, as they are and as round pictures."""
-    polar, fisheye = [], []
-    for image in images:
-        polar.append(encode_jpeg(image))
-        fisheye.append(encode_jpeg(warp_round(image, warp)))
-    log_jpegs(stream, "drive/polar", polar, at)
-    log_jpegs(stream, "drive/fisheye", fisheye, at)
+    pairs = [(encode_jpeg(image), encode_jpeg(warp_round(image, warp))) for image in images]
+    for name, blobs in zip(("polar", "fisheye"), zip(*pairs, strict=True), strict=True):
+        log_jpegs(stream, f"drive/{name}", blobs, at)
 
 
 def find_pictures(recording: Recording) -> dict[str, str]:
@@ -165,16 +159,14 @@ def log_encoders(stream: rr.RecordingStream, recording: Recording, truth: Truth)
     clock, root = drive_clock(recording), "world/reckoned"
     at = clock(recording.time)
     log_path(stream, root, recording.reading[:, 0], reckoned, (RECKONED, RECKONED), recording.time, clock)
-    place = rr.Points3D.columns(positions=lift(reckoned, 5 * LAYER_M))
-    send_rows(stream, f"{root}/place", rr.Points3D.from_fields(radii=0.06, colors=RECKONED), place, at)
-    ends = np.stack([lift(true, 4 * LAYER_M), lift(reckoned, 4 * LAYER_M)], axis=1)
-    line = rr.LineStrips3D.from_fields(radii=0.012, colors=WRONG)
-    send_rows(stream, f"{root}/drift", line, rr.LineStrips3D.columns(strips=ends), at)
+    place = {"positions": lift(reckoned, 5 * LAYER_M)}
+    send_rows(stream, f"{root}/place", rr.Points3D, at, place, {"radii": 0.06, "colors": RECKONED})
+    ends = {"strips": np.stack([lift(true, 4 * LAYER_M), lift(reckoned, 4 * LAYER_M)], axis=1)}
+    send_rows(stream, f"{root}/drift", rr.LineStrips3D, at, ends, {"radii": 0.012, "colors": WRONG})
     send_series(stream, "encoders/drift", at, drift, "dead-reckoning drift", WRONG)
     put_text(stream, "encoders/faults", describe_encoders(recording, truth.pose, drift))
     picture = plots.to_png(draw_segments(*measure_segments(recording, truth.pose)))
-    image = rr.EncodedImage(contents=BytesIO(picture), media_type="image/png")
-    stream.log("encoders/segments", image, static=True)
+    put(stream, "encoders/segments", rr.EncodedImage(contents=picture, media_type="image/png"))
 
 
 def log_diagnosis(stream: rr.RecordingStream, run: Path) -> None:
@@ -196,15 +188,14 @@ def find_track_m(recording: Recording) -> float:
 
 def _log_distances(stream: rr.RecordingStream, recording: Recording, truth: Truth) -> None:
     encoder, true, difference = measure_distances(recording, truth.pose)
-    series = {
-        "drive/distance/encoder": (encoder, "by encoder", RECKONED),
-        "drive/distance/truth": (true, "true", TRUE),
-        "drive/segment_error": (1000 * (encoder - true), "encoder minus truth", WRONG),
-        "drive/difference": (1000 * difference, "encoder minus truth, cumulative", WRONG),
-    }
     at = drive_clock(recording)(recording.time)
-    for path, (values, label, colour) in series.items():
-        send_series(stream, path, at, values, label, colour)
+    for path, values, label, colour in (
+        ("distance/encoder", encoder, "by encoder", RECKONED),
+        ("distance/truth", true, "true", TRUE),
+        ("segment_error", 1000 * (encoder - true), "encoder minus truth", WRONG),
+        ("difference", 1000 * difference, "encoder minus truth, cumulative", WRONG),
+    ):
+        send_series(stream, f"drive/{path}", at, values, label, colour)
     log_ticks(stream, recording)
 
 
@@ -214,9 +205,7 @@ def _find_images(recording: Recording) -> list[str]:
 
 
 def _log_scans(stream: rr.RecordingStream, scans: np.ndarray, at: Rows) -> None:
-    """Log scans (n, rays) [m]."""
     angle = 2.0 * np.pi * np.arange(scans.shape[1]) / scans.shape[1]
     ends = scans[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    points = rr.Points3D.columns(positions=lift(ends.reshape(-1, 2), LAYER_M))
-    rows = points.partition([scans.shape[1]] * len(scans))
-    send_rows(stream, f"{ROBOT}/scan", rr.Points3D.from_fields(radii=0.012, colors=RIGHT), rows, at)
+    points, style = {"positions": lift(ends.reshape(-1, 2), LAYER_M)}, {"radii": 0.012, "colors": RIGHT}
+    send_rows(stream, f"{ROBOT}/scan", rr.Points3D, at, points, style, [scans.shape[1]] * len(scans))

@@ -14,8 +14,8 @@ from deepgps.studies.study import Study
 from deepgps.studies.table import Row, find_methods, split_by
 from deepgps.viewer.plot import Axis, Curve, log_cursor, log_plot, make_axis
 from deepgps.viewer.scene import lift, log_floor
-from deepgps.viewer.study.sliders import RUN, Slider, Step
-from deepgps.viewer.timeline import Rows, put
+from deepgps.viewer.sliders import RUN, Slider, Step
+from deepgps.viewer.stream import Rows, put
 from sim.geometry import FreeSpace
 
 Frame = tuple[np.ndarray, np.ndarray]  # south-west and north-east corners (2,) [m] of the rectangle for every room
@@ -41,7 +41,7 @@ def find_frame(spaces: Spaces) -> Frame:
 
 def log_rooms(stream: rr.RecordingStream, slider: Slider, spaces: Spaces, frame: Frame) -> None:
     """Log the floor plan where it changes along a slider, scaled into the frame, and a scale bar of known length."""
-    shown = None
+    shown, grey = None, [200, 206, 216]
     for place, step in zip(slider.places, slider.steps, strict=True):
         space = spaces[step.rows[0]["recording"]] if step.done else None
         if space is None or (shown is not None and _is_same(space, shown)):
@@ -49,16 +49,15 @@ def log_rooms(stream: rr.RecordingStream, slider: Slider, spaces: Spaces, frame:
         shown, at = space, slider_row(slider, place)
         low, high = plots.limits(space)
         scale = float(np.min((frame[1] - frame[0]) / (high - low)))
-        middle = -scale * (low + high) / 2
-        put(stream, "world", rr.Transform3D(translation=[*middle, 0.0], scale=scale), at)
+        put(stream, "world", rr.Transform3D(translation=[*(-scale * (low + high) / 2), 0.0], scale=scale), at)
         log_floor(stream, space, at)
         length = _round_length((high[0] - low[0]) / 4)
         start = np.array([low[0], high[1] + 0.15 / scale])
         bar = lift(start + np.array([[0, 0], [length, 0]]), 0.0)
-        put(stream, "world/metre", rr.LineStrips3D([bar], radii=0.012 / scale, colors=[200, 206, 216]), at)
+        put(stream, "world/metre", rr.LineStrips3D([bar], radii=0.012 / scale, colors=grey), at)
         label = f"{length:g} m" if length >= 1 else f"{100 * length:g} cm"
         beside = bar[1:] + np.array([0.4, 0.18, 0]) / scale  # a label is drawn below its point
-        name = rr.Points3D(beside, radii=0.0, colors=[200, 206, 216], labels=[label], show_labels=True)
+        name = rr.Points3D(beside, radii=0.0, colors=grey, labels=[label], show_labels=True)
         put(stream, "world/metre/length", name, at)
 
 

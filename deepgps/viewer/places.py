@@ -6,6 +6,7 @@ opens a timeline at its end.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -15,11 +16,11 @@ from scipy.spatial import KDTree
 from deepgps.config.methods import title_of
 from deepgps.evaluation.error_field import ErrorField
 from deepgps.reports.table import tabulate
+from deepgps.viewer.drive import camera_of
 from deepgps.viewer.error_field import draw_arrows, draw_circles
 from deepgps.viewer.pictures import encode_jpeg, enlarge, log_jpegs, make_warp, warp_round
-from deepgps.viewer.run.drive import camera_of
 from deepgps.viewer.scene import LAYER_M, lift
-from deepgps.viewer.timeline import Rows, place_rows, send_rows
+from deepgps.viewer.stream import Rows, place_rows, send_rows
 from sim.recording.format import Recording, Truth
 from sim.recording.manifest import ObservationKind
 
@@ -83,28 +84,28 @@ def log_places(
 ) -> None:
     """Log for each place its arrow, its numbers, its test image, and the training images alike and closest to it."""
     tests = np.stack([recording.test_observation[place.cell, place.heading] for place in places])
-    alike = find_alike(recording, tests, ALIKE)
     cells = [(fields[place.method], place) for place in places]
     true = np.stack([field.truth[place.cell] for field, place in cells])
     predicted = np.stack([field.predicted[place.cell, place.heading] for field, place in cells])
     away, closest = KDTree(truth.pose[:, :2]).query(true)
-    shown = np.column_stack([alike, closest])  # indices of training observations
-    at = place_rows(len(places))
-    refused = [not field.is_accepted[place.cell, place.heading] for field, place in cells]
-    above_m = LABEL_ABOVE * np.ptp(cells[0][0].truth[:, 1])
-    _log_map(stream, true, predicted, refused, truth.pose[shown], above_m, at)
-    _log_radii(stream, predicted, [_radii_at(*one) for one in cells], at)
+    shown = np.column_stack([find_alike(recording, tests, ALIKE), closest])  # indices of training observations
+    at, taken = place_rows(len(places)), truth.pose[shown]
+    _log_arrows(stream, cells, true, predicted, at)
+    _log_taken(stream, taken, at)
+    radii = [_radii_at(*one) for one in cells]
+    counts = [len(some) for some in radii]
+    circles = draw_circles(np.repeat(predicted, counts, axis=0), np.concatenate([[], *radii]), 5 * LAYER_M)
+    style = {"radii": 0.007, "colors": [COLOURS["test"]]}
+    send_rows(stream, "world/place/radius", rr.LineStrips3D, at, {"strips": circles}, style, counts)
     texts = {
         "text": [_describe(number, places, fields, float(away[number])) for number in range(len(places))],
-        "taken": [_describe_images(*one) for one in zip(true, truth.pose[shown], strict=True)],
+        "taken": [_describe_images(*one) for one in zip(true, taken, strict=True)],
     }
     for name, rows in texts.items():
-        style = rr.TextDocument.from_fields(media_type="text/markdown")
-        send_rows(stream, f"place/{name}", style, rr.TextDocument.columns(text=rows), at)
+        send_rows(stream, f"place/{name}", rr.TextDocument, at, {"text": rows}, {"media_type": "text/markdown"})
     if recording.kind == "polar_image":
         heading = np.array([_headings_at(field, place)[place.heading] for field, place in cells])
-        turn = truth.pose[shown, 2] - heading[:, None]
-        _log_pictures(stream, recording, tests, shown, turn, at)
+        _log_pictures(stream, recording, tests, shown, taken[..., 2] - heading[:, None], at)
 
 
 def _headings_at(field: ErrorField, place: Place) -> np.ndarray:
@@ -124,17 +125,15 @@ def _describe(number: int, places: Sequence[Place], fields: Mapping[str, ErrorFi
     heading = np.degrees(_headings_at(field, place))
     errors = [[title_of(name), *_write_errors(one, place.cell)] for name, one in fields.items()]
     all_accepted = all(one.is_accepted[place.cell].all() for one in fields.values())
-    brackets = "" if all_accepted else " (in brackets: refused)"
     count = sum(one.method == place.method for one in places)
-    error_cm = 100 * field.error[place.cell, place.heading]
     return "\n\n".join(
         [
-            f"# {title_of(place.method)}: {error_cm:.1f} cm",
+            f"# {title_of(place.method)}: {100 * field.error[place.cell, place.heading]:.1f} cm",
             f"Worst place {place.rank} of {count} of this method; {len(places) - number} on the timeline `place`.",
             f"True position {true[0]:.2f}, {true[1]:.2f} m; predicted {predicted[0]:.2f}, {predicted[1]:.2f} m, "
             f"at heading {heading[place.heading]:.0f}°. The closest training image was taken {away_m:.2f} m away.",
             *_describe_trust(field, place),
-            f"Errors here at each heading [cm]{brackets}:",
+            f"Errors here at each heading [cm]{'' if all_accepted else ' (in brackets: refused)'}:",
             tabulate(["method", *(f"{one:.0f}°" for one in heading)], errors),
         ]
     )
@@ -159,77 +158,59 @@ def _write_errors(field: ErrorField, cell: int) -> list[str]:
 
 def _describe_images(true: np.ndarray, taken: np.ndarray) -> str:
     """Describe in Markdown where the training images (ALIKE + 1, 3) were taken, and how to walk through the places."""
+    away = np.linalg.norm(taken[:, :2] - true, axis=1)
     images = [
-        [
-            name.replace("_", " "),
-            f"{x:.2f}, {y:.2f}",
-            f"{np.hypot(x - true[0], y - true[1]):.2f}",
-            f"{round(np.degrees(yaw)) % 360}°",
-        ]
-        for name, (x, y, yaw) in zip(PICTURES[1:], taken, strict=True)
+        [name.replace("_", " "), f"{x:.2f}, {y:.2f}", f"{one:.2f}", f"{round(np.degrees(yaw)) % 360}°"]
+        for name, one, (x, y, yaw) in zip(PICTURES[1:], away, taken, strict=True)
     ]
     return "\n\n".join(["Where the training images were taken:", tabulate(IMAGE_COLUMNS, images), NOTE])
 
 
-def _log_map(
+def _log_arrows(
     stream: rr.RecordingStream,
+    cells: Sequence[tuple[ErrorField, Place]],
     true: np.ndarray,
     predicted: np.ndarray,
-    refused: Sequence[bool],
-    taken: np.ndarray,
-    above_m: float,
     at: Rows,
 ) -> None:
-    """Log each place's arrow above all others, and where the training images (n, ALIKE + 1, 3) were taken.
+    """Log each place's arrow above all others, with a label above it, since the viewer draws one below its point."""
+    _log(stream, "error", "test", {"strips": draw_arrows(true, predicted, 5 * LAYER_M)}, at)
+    _log(stream, "test", "test", {"positions": lift(true, 6 * LAYER_M)}, at)
+    labels = [
+        f"{100 * error:.1f} cm{'' if field.is_accepted[place.cell, place.heading] else ', refused'}"
+        for error, (field, place) in zip(np.linalg.norm(predicted - true, axis=1), cells, strict=True)
+    ]
+    above = true + [0, LABEL_ABOVE * np.ptp(cells[0][0].truth[:, 1])]
+    _log(stream, "test/label", "test", {"positions": lift(above, 6 * LAYER_M), "labels": labels}, at)
 
-    The label is ``above_m`` above its place, since the viewer draws a label below its point.
-    """
-    _log_lines(stream, "error", "test", draw_arrows(true, predicted, 5 * LAYER_M), at)
-    _log_dots(stream, "test", true, 0.03, 6 * LAYER_M, at)
-    errors = zip(np.linalg.norm(predicted - true, axis=1), refused, strict=True)
-    labels = [f"{100 * error:.1f} cm{', refused' if no else ''}" for error, no in errors]
-    _log_labels(stream, "test", true + [0, above_m], labels, at)
+
+def _log_taken(stream: rr.RecordingStream, taken: np.ndarray, at: Rows) -> None:
+    """Log where the training images (n, ALIKE + 1, 3) were taken, with an arrow in the direction of each."""
     for number, name in enumerate(PICTURES[1:]):
         place, yaw = taken[:, number, :2], taken[:, number, 2]
         # a training image may be both: the closest one's dot is the larger and the lower
         closest = name == PICTURES[-1]
-        _log_dots(stream, name, place, 0.05 if closest else 0.03, (4 if closest else 6) * LAYER_M, at)
+        dots = {"positions": lift(place, (4 if closest else 6) * LAYER_M)}
+        _log(stream, name, name, dots, at, 0.05 if closest else 0.03)
         ahead = place + HEADING_M * np.stack([np.cos(yaw), np.sin(yaw)], axis=1)
         arrows = draw_arrows(place, ahead, (3 if closest else 5) * LAYER_M)
-        _log_lines(stream, f"{name}/heading", name, arrows, at)
+        _log(stream, f"{name}/heading", name, {"strips": arrows}, at)
         if not closest:
-            _log_labels(stream, name, ahead, [name.removeprefix("alike_")] * len(true), at)
+            labels = [name.removeprefix("alike_")] * len(place)
+            _log(stream, f"{name}/label", name, {"positions": lift(ahead, 6 * LAYER_M), "labels": labels}, at)
 
 
-def _log_radii(stream: rr.RecordingStream, predicted: np.ndarray, radii: Sequence[Sequence[float]], at: Rows) -> None:
-    """Log circles of some radii [m] around each predicted position (n, 2) [m]; a method without radii has none."""
-    counts = [len(some) for some in radii]
-    circles = draw_circles(np.repeat(predicted, counts, axis=0), np.concatenate([[], *radii]), 5 * LAYER_M)
-    rows = rr.LineStrips3D.columns(strips=circles).partition(counts)
-    style = rr.LineStrips3D.from_fields(radii=0.007, colors=[COLOURS["test"]])
-    send_rows(stream, "world/place/radius", style, rows, at)
-
-
-def _log_lines(stream: rr.RecordingStream, entity: str, name: str, strips: np.ndarray, at: Rows) -> None:
-    style = rr.LineStrips3D.from_fields(radii=0.014, colors=[_colour_of(name)])
-    send_rows(stream, f"world/place/{entity}", style, rr.LineStrips3D.columns(strips=strips), at)
-
-
-def _log_dots(
-    stream: rr.RecordingStream, name: str, place: np.ndarray, radius_m: float, height_m: float, at: Rows
+def _log(
+    stream: rr.RecordingStream, entity: str, name: str, rows: Mapping[str, Any], at: Rows, radius_m: float = 0.03
 ) -> None:
-    style = rr.Points3D.from_fields(radii=radius_m, colors=[_colour_of(name)], point_shading="Flat")
-    send_rows(stream, f"world/place/{name}", style, rr.Points3D.columns(positions=lift(place, height_m)), at)
-
-
-def _log_labels(stream: rr.RecordingStream, name: str, place: np.ndarray, labels: Sequence[str], at: Rows) -> None:
-    style = rr.Points3D.from_fields(radii=0.0, colors=[_colour_of(name)], show_labels=True)
-    rows = rr.Points3D.columns(positions=lift(place, 6 * LAYER_M), labels=labels)
-    send_rows(stream, f"world/place/{name}/label", style, rows, at)
-
-
-def _colour_of(name: str) -> tuple[int, int, int]:
-    return COLOURS[name.partition("_")[0]]
+    """Log lines, labels or dots in the colour of a picture."""
+    style: dict[str, Any] = {"radii": radius_m, "colors": [COLOURS[name.partition("_")[0]]], "point_shading": "Flat"}
+    if "strips" in rows:
+        style = {"radii": 0.014, "colors": style["colors"]}
+    elif "labels" in rows:
+        style = {"radii": 0.0, "colors": style["colors"], "show_labels": True}
+    kind = rr.LineStrips3D if "strips" in rows else rr.Points3D
+    send_rows(stream, f"world/place/{entity}", kind, at, rows, style)
 
 
 def _log_pictures(
@@ -244,17 +225,14 @@ def _log_pictures(
 
     Training images are turned by angles (n, ALIKE + 1) [rad] to the test image's heading.
     """
-    _, rings, sectors, _ = recording.observation.shape
-    warp = make_warp(camera_of(recording), rings, sectors, ROUND_PX)
+    warp = make_warp(camera_of(recording), *recording.observation.shape[1:3], ROUND_PX)
     images = {"test": list(tests)}
-    for k, name in enumerate(PICTURES[1:]):
-        rows = zip(recording.observation[shown[:, k]], turn[:, k], strict=True)
+    for name, numbers, angles in zip(PICTURES[1:], shown.T, turn.T, strict=True):
+        rows = zip(recording.observation[numbers], angles, strict=True)
         images[name] = [turn_picture(image, angle) for image, angle in rows]
     for name, polar in images.items():
-        large = [enlarge(image, POLAR_ZOOM) for image in polar]
-        rounds = [warp_round(image, warp) for image in polar]
-        for kind, pictures in (("polar", large), ("round", rounds)):
-            log_jpegs(stream, f"place/{name}/{kind}", map(encode_jpeg, pictures), at)
+        log_jpegs(stream, f"place/{name}/polar", (encode_jpeg(enlarge(image, POLAR_ZOOM)) for image in polar), at)
+        log_jpegs(stream, f"place/{name}/round", (encode_jpeg(warp_round(image, warp)) for image in polar), at)
 
 
 def turn_picture(polar: np.ndarray, angle: float) -> np.ndarray:

@@ -23,11 +23,13 @@ from deepgps.studies.catalog import REPORTS
 from deepgps.studies.study import Study
 from deepgps.studies.table import Row, find_methods, read_rows, read_setting, varied_in
 from deepgps.viewer.error_field import NO_PLACES, log_field
+from deepgps.viewer.layout import arrange, look, text_view
 from deepgps.viewer.plot import plot_view
 from deepgps.viewer.read import open_rrd
-from deepgps.viewer.save import hash_files, holds, save_recording
-from deepgps.viewer.scene import log_scale_below
-from deepgps.viewer.study.scene import (
+from deepgps.viewer.scene import STILL, log_scale
+from deepgps.viewer.sliders import Slider, find_sliders
+from deepgps.viewer.stream import hash_files, holds, put, put_text, save_recording
+from deepgps.viewer.study_scene import (
     CURVES,
     Frame,
     describe_step,
@@ -38,9 +40,6 @@ from deepgps.viewer.study.scene import (
     log_rooms,
     slider_row,
 )
-from deepgps.viewer.study.sliders import Slider, find_sliders
-from deepgps.viewer.timeline import put, put_text
-from deepgps.viewer.views import STILL, arrange, text_view
 from sim.errors import DamagedError, InputError
 from sim.files.checksums import check_lines, check_sum, is_intact, read_arrays
 from sim.recording.format import open_truth
@@ -86,13 +85,12 @@ def _write(folder: Path, study: Study, rows: Sequence[Row], identity: str) -> No
     found = find_sliders(rows, list(study.axes), own_values(study, varied_in(rows[0])))
     sliders = [slider for slider in found if len(slider.steps) <= MAX_PLACES] or found[:1]
     left_out = [slider.name for slider in found if slider not in sliders]
-    methods = find_methods(rows)
-    frame, every = find_frame(spaces), _thin(folder, sliders)
+    methods, frame, every = find_methods(rows), find_frame(spaces), _thin(folder, sliders)
     pictures = sorted(folder.glob("figures/*.png"))
 
     def log(stream: rr.RecordingStream) -> None:
         put(stream, "/", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
-        log_scale_below(stream, "scale", *frame)
+        log_scale(stream, "scale", *frame)
         for slider in sliders:
             log_rooms(stream, slider, spaces, frame)
             for place, step in zip(slider.places, slider.steps, strict=True):
@@ -109,7 +107,7 @@ def _write(folder: Path, study: Study, rows: Sequence[Row], identity: str) -> No
             image = rr.EncodedImage(contents=path.read_bytes(), media_type="image/png")
             put(stream, f"report/figures/{path.stem}", image)
 
-    blueprint = make_blueprint(sliders[0], methods, [path.stem for path in pictures], frame)
+    blueprint = _make_blueprint(sliders[0], methods, [path.stem for path in pictures], frame)
     save_recording(folder / STUDY, identity, study.name, blueprint, log)
 
 
@@ -170,30 +168,41 @@ def hash_study(folder: Path, rows: Sequence[Row]) -> str:
     return hash_files(folder, shown)
 
 
-def make_blueprint(slider: Slider, methods: Sequence[str], figures: Sequence[str], frame: Frame) -> rrb.Blueprint:
-    """The viewer's layout for a study, which opens with the error fields of all methods side by side.
-
-    Args:
-        slider: The slider to open with.
-        methods: Names of the methods.
-        figures: Names of the study's figures.
-        frame: Rectangle in which every room is drawn.
-    """
+def _make_blueprint(slider: Slider, methods: Sequence[str], figures: Sequence[str], frame: Frame) -> rrb.Blueprint:
+    """The viewer's layout, which opens with a slider and the error fields of all methods side by side."""
     pictures = [rrb.Spatial2DView(name=name.replace("_", " "), origin=f"report/figures/{name}") for name in figures]
-    tabs = [
-        _error_fields(methods, frame),
-        _beside_here(rrb.Vertical(*_plots()), "Curves"),
-        *([_beside_here(rrb.Tabs(*pictures), "Figures")] if figures else []),
-        _beside_here(text_view("Table", "report/table"), "Report"),
-    ]
+    fields = rrb.Grid(*_field_views(methods, frame), grid_columns=1 if len(methods) == 1 else 2)
+    shown = rrb.Vertical(fields, rrb.Horizontal(*_plots()), row_shares=[5, 2])
+    texts = rrb.Vertical(_here(), text_view("Sliders", "report/sliders"))
+    tabs = {
+        "Error fields": (shown, texts),
+        "Curves": (rrb.Vertical(*_plots()), _here()),
+        **({"Figures": (rrb.Tabs(*pictures), _here())} if figures else {}),
+        "Report": (text_view("Table", "report/table"), _here()),
+    }
     apart = float(np.ptp(slider.places)) / max(len(slider.steps) - 1, 1)
     fps = STEPS_PER_SECOND * max(apart, 1.0)
-    return arrange(tabs, rrb.TimePanel(state="collapsed", timeline=slider.timeline, fps=fps, play_state="paused"))
+    return arrange(
+        [rrb.Horizontal(*pair, column_shares=[5, 2], name=name) for name, pair in tabs.items()],
+        rrb.TimePanel(state="collapsed", timeline=slider.timeline, fps=fps, play_state="paused"),
+    )
 
 
-def _error_fields(methods: Sequence[str], frame: Frame) -> rrb.Horizontal:
+def _here() -> rrb.TextDocumentView:
+    return text_view("Here", "report/here")
+
+
+def _plots() -> list[rrb.Spatial2DView]:
+    return [plot_view(f"{title} along the slider [cm]", f"curve/{name}") for name, title in CURVES.items()]
+
+
+def _field_views(methods: Sequence[str], frame: Frame) -> list[rrb.Spatial3DView]:
+    """Views of the error fields from above, of the frame with its heading and its scale."""
+    width, depth = frame[1] - frame[0]
+    seen = max(depth + 2.2, 1.1 * width / (1.5 if len(methods) != 2 else 0.83))
+    distance = seen / (2 * np.tan(np.radians(55 / 2)))  # the viewer's field of view is 55 degrees
     backdrop = ("world/floor_plan", "world/outline", "world/metre", "scale")
-    fields = (
+    return [
         rrb.Spatial3DView(
             name=title_of(method),
             origin="/",
@@ -201,33 +210,9 @@ def _error_fields(methods: Sequence[str], frame: Frame) -> rrb.Horizontal:
                 *("world/floor_plan", "world/outline", "world/metre/**", "scale/**"),
                 *(f"world/error_field/{method}/**", f"heading/{method}"),
             ],
-            eye_controls=_aim_eye(frame, wide=len(methods) != 2),
+            eye_controls=look((0.0, 0.0, distance), (0.0, 0.0, 0.0)),
             line_grid=False,
             overrides=dict.fromkeys(backdrop, STILL),
         )
         for method in methods
-    )
-    shown = rrb.Vertical(
-        rrb.Grid(*fields, grid_columns=1 if len(methods) == 1 else 2), rrb.Horizontal(*_plots()), row_shares=[5, 2]
-    )
-    texts = rrb.Vertical(text_view("Here", "report/here"), text_view("Sliders", "report/sliders"))
-    return rrb.Horizontal(shown, texts, column_shares=[5, 2], name="Error fields")
-
-
-def _plots() -> list[rrb.Spatial2DView]:
-    return [plot_view(f"{title} along the slider [cm]", f"curve/{name}") for name, title in CURVES.items()]
-
-
-def _beside_here(shown: rrb.View | rrb.Container, name: str) -> rrb.Horizontal:
-    return rrb.Horizontal(shown, text_view("Here", "report/here"), column_shares=[5, 2], name=name)
-
-
-def _aim_eye(frame: Frame, wide: bool) -> rrb.EyeControls3D:
-    """Place the eye above the frame so that a wide or high panel shows the frame, its heading and its scale."""
-    width, depth = frame[1] - frame[0]
-    seen = max(depth + 2.2, 1.1 * width / (1.5 if wide else 0.83))
-    # the viewer's field of view is 55 degrees; an eye exactly above has no up direction of its own, so north is up
-    distance = seen / (2 * np.tan(np.radians(55 / 2)))
-    return rrb.EyeControls3D(
-        kind=rrb.Eye3DKind.Orbital, position=(0.0, 0.0, distance), look_target=(0.0, 0.0, 0.0), eye_up=(0.0, 1.0, 0.0)
-    )
+    ]

@@ -17,16 +17,17 @@ from scipy.spatial.distance import pdist
 from deepgps.config.methods import title_of
 from deepgps.evaluation.error_field import read_all_headings, read_fields, split_by_acceptance
 from deepgps.reports.run_report import describe
+from deepgps.viewer import drive
+from deepgps.viewer import run as recording
 from deepgps.viewer.connect import find_viewer
+from deepgps.viewer.drive import ROBOT
 from deepgps.viewer.error_field import COVERAGE, DENSITY
 from deepgps.viewer.pictures import choose_views, write_pictures
+from deepgps.viewer.places import PICTURES, find_places, turn_picture
 from deepgps.viewer.read import read_entity, read_error_field, read_error_table
-from deepgps.viewer.run import drive, recording
-from deepgps.viewer.run.drive import ROBOT
-from deepgps.viewer.run.places import PICTURES, find_places, turn_picture
-from deepgps.viewer.run.recording import RECORDING, find_recording, write_run
+from deepgps.viewer.run import RECORDING, find_recording, write_run
 from deepgps.viewer.show import view
-from deepgps.viewer.timeline import DRIVE_TIME, PLACE, PROGRESS, PROGRESS_END_S, STEP
+from deepgps.viewer.stream import DRIVE_TIME, PLACE, PROGRESS, PROGRESS_END_S, STEP
 from sim.errors import InputError, WorkError
 from sim.files.checksums import read_json, write_json
 from sim.recording.format import finish_recording, read_manifest
@@ -36,7 +37,7 @@ from tests.helpers.blueprints import find_missing, read_layout
 from tests.helpers.synthetic_run import METHODS, REFUSING, write_synthetic_run
 
 SAMPLES = 60
-ROOT = Path(__file__).parents[4]
+ROOT = Path(__file__).parents[3]
 
 
 @pytest.fixture(scope="module")

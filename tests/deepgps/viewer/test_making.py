@@ -8,10 +8,10 @@ import pytest
 import rerun as rr
 
 from deepgps.initial_map.stored_map import FILE, StoredMap
+from deepgps.viewer.making import ELLIPSES, MAKING, SEEN_M, SIGMAS, enlarge, outline_ellipses
 from deepgps.viewer.read import read_entity
-from deepgps.viewer.run.making import ELLIPSES, MAKING, SEEN_M, SIGMAS, enlarge, outline_ellipses
-from deepgps.viewer.run.recording import RECORDING, write_run
-from deepgps.viewer.timeline import MAKING as TIMELINE
+from deepgps.viewer.run import RECORDING, write_run
+from deepgps.viewer.stream import MAKING as TIMELINE
 from sim.files.checksums import read_arrays, write_arrays
 from tests.helpers.blueprints import find_missing, read_layout
 from tests.helpers.synthetic_run import write_synthetic_run

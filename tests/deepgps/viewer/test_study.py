@@ -18,16 +18,16 @@ from deepgps.reports import plots
 from deepgps.studies.plan import Plan, plan_runs
 from deepgps.studies.study import load_study
 from deepgps.studies.table import gather, write_table
+from deepgps.viewer import study as viewer
 from deepgps.viewer.connect import find_viewer
 from deepgps.viewer.error_field import PARTS, REFUSED_PART
 from deepgps.viewer.read import read_entity, read_error_field, read_error_table
 from deepgps.viewer.show import view
-from deepgps.viewer.study import study as viewer
-from deepgps.viewer.study.scene import write_length
-from deepgps.viewer.study.sliders import find_sliders
-from deepgps.viewer.study.study import STUDY as STUDY_RRD
-from deepgps.viewer.study.study import find_study
-from deepgps.viewer.study.study import write_study as write_rrd
+from deepgps.viewer.sliders import find_sliders
+from deepgps.viewer.study import STUDY as STUDY_RRD
+from deepgps.viewer.study import find_study
+from deepgps.viewer.study import write_study as write_rrd
+from deepgps.viewer.study_scene import write_length
 from sim.errors import InputError
 from tests.helpers.blueprints import find_missing
 from tests.helpers.command import deepgps_here, wait_until

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from deepgps.viewer.run.recording import RECORDING, find_recording
+from deepgps.viewer.run import RECORDING, find_recording
 from sim.recording.format import check_recording, finish_recording, open_recording, read_manifest
-from tests.deepgps.viewer.run.test_run import rows_by_entity
+from tests.deepgps.viewer.test_run import rows_by_entity
 from tests.helpers.command import deepgps_here
 from tests.helpers.synthetic_run import write_synthetic_run
 

@@ -1,0 +1,367 @@
+"""The viewer's layouts: of a finished run, of one in progress, of one without truth; and views that all layouts use."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from deepgps.config.methods import title_of
+from deepgps.viewer.drive import DIAGNOSIS, POLAR_PICTURES
+from deepgps.viewer.error_field import COVERAGE, DENSITY, name_layer
+from deepgps.viewer.making import MAKING, TEXT
+from deepgps.viewer.pictures import LARGE
+from deepgps.viewer.places import PICTURES
+from deepgps.viewer.plot import DISTRIBUTION, plot_view
+from deepgps.viewer.scene import BACKDROP, STILL
+from deepgps.viewer.stream import PROGRESS, RUN_TIME, lately, until_now
+from sim.geometry import FreeSpace, limits
+
+HIDDEN = rrb.EntityBehavior(visible=False)
+RECENT_S, TRAIL_S = 60.0, 120.0
+PICTURE_TITLES = {
+    "round": ("Test image, white", "Alike 1, yellow", "Alike 2, yellow", "Closest, green"),
+    "polar": ("Test image, polar", "Alike 1, polar", "Alike 2, polar", "Closest, polar"),
+}
+STEPS, FIGURES = "steps", "report/figures"
+Layers = Mapping[str, Sequence[str]]
+"""Layers of a method's error field that are hidden at first, by method."""
+Part = rrb.Container | rrb.View
+
+
+def make_blueprint(
+    space: FreeSpace,
+    layers: Layers,
+    trained: Sequence[str],
+    pictures: Mapping[str, str],
+    drive_s: float,
+    mapped: str | None = None,
+) -> rrb.Blueprint:
+    """The viewer's layout for a finished run, which opens with what matters most, at the end of drive and training.
+
+    Args:
+        space: The room's floor.
+        layers: Measured methods, and their entities that are hidden at first.
+        trained: Methods with a training history.
+        pictures: Titles of the sensors' pictures, by name.
+        drive_s: Duration of the drive [s].
+        mapped: Method whose initial map's making is shown; None: no method kept it.
+    """
+    errors = rrb.Horizontal(_segment_error(drive_s), _ticks_view(drive_s))
+    return arrange(
+        [
+            _error_fields(space, layers, ["place/test/**"]),
+            _worst_places(space, "polar" in pictures),
+            _drive(space, pictures, errors),
+            *([_making(space, mapped)] if mapped else []),
+            *([_training(space, trained, [_loss_view(name) for name in trained])] if trained else []),
+            _encoders(space, drive_s),
+            _report(),
+        ],
+        play(PROGRESS),
+    )
+
+
+def make_live_blueprint(
+    space: FreeSpace | None, pictures: bool, trained: Sequence[str], began_s: float, layers: Layers
+) -> rrb.Blueprint:
+    """The viewer's layout for a run in progress: a tab for each stage so far, with the newest in front.
+
+    Args:
+        space: The room's floor, once the recording is finished.
+        pictures: Whether the robot has a camera.
+        trained: Methods whose training has begun.
+        began_s: When the first training began [s].
+        layers: Methods whose error fields are available, and their entities that are hidden at first.
+    """
+    steps = text_view("Steps", STEPS)
+    tabs: list[Part] = [_drive(space, POLAR_PICTURES if pictures else {}, steps, [RUN_TIME])]
+    if space and trained:
+        start = rr.TimeRangeBoundary.absolute(seconds=began_s)
+        tabs.append(_training(space, trained, [*(_loss_view(name, start) for name in trained), steps]))
+    if space and layers:
+        tabs.append(_error_fields(space, layers))
+    return arrange(tabs, play(RUN_TIME), len(tabs) - 1)
+
+
+def make_blueprint_without_truth(
+    pictures: Mapping[str, str], drive_s: float, reckoned: np.ndarray, last: Mapping[str, np.ndarray]
+) -> rrb.Blueprint:
+    """The viewer's layout for a run without truth.
+
+    Args:
+        pictures: As in ``make_blueprint``.
+        drive_s: Likewise.
+        reckoned: The dead-reckoned path (R, 2) [m].
+        last: The methods' last maps (n, 2) [m].
+    """
+    shown = {"world/reckoned/path": rrb.VisibleTimeRanges(until_now())}
+    path = rrb.Spatial3DView(name="Dead-reckoned path", origin="world", eye_controls=_aim_at(reckoned), overrides=shown)
+    beside = rrb.Vertical(
+        *_camera_views(pictures),
+        series_view("Distance travelled [m]", "drive/distance"),
+        _ticks_view(drive_s),
+        rrb.Tabs(text_view("Without truth", "report"), _diagnosis_view()),
+    )
+    tabs: list[Part] = [rrb.Horizontal(path, beside, name="Drive", column_shares=[3, 2])]
+    if last:
+        maps = [
+            rrb.Spatial3DView(name=title_of(name), origin=f"map/{name}", eye_controls=_aim_at(points, len(last)))
+            for name, points in last.items()
+        ]
+        losses = [_loss_view(name) for name in last]
+        tabs.append(rrb.Vertical(rrb.Horizontal(*maps), rrb.Horizontal(*losses), name="Training", row_shares=[3, 1]))
+    return arrange(tabs, play(PROGRESS))
+
+
+def arrange(tabs: Sequence[Part], time: rrb.TimePanel, active: int = 0) -> rrb.Blueprint:
+    """A layout of tabs between panels that are closed, since the tooltip says what the selection panel would."""
+    return rrb.Blueprint(
+        rrb.Tabs(*tabs, active_tab=active),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        time,
+        auto_views=False,
+    )
+
+
+def play(timeline: str) -> rrb.TimePanel:
+    """A closed time panel, whose slider stands at the end of a timeline."""
+    return rrb.TimePanel(state="collapsed", timeline=timeline, play_state="following")
+
+
+def room_view(
+    name: str,
+    contents: Iterable[str],
+    eye: rrb.EyeControls3D,
+    root: str = "world",
+    overrides: Mapping[Any, Any] | None = None,
+    line_grid: bool = False,
+) -> rrb.Spatial3DView:
+    """A view of entities below ``root``, of which only what can tell something catches the pointer."""
+    return rrb.Spatial3DView(
+        name=name,
+        origin=root,
+        contents=[f"{root}/{one}" for one in contents],
+        eye_controls=eye,
+        line_grid=line_grid,
+        overrides={f"{root}/{name}": STILL for name in BACKDROP} | dict(overrides or {}),
+    )
+
+
+def text_view(name: str, origin: str) -> rrb.TextDocumentView:
+    """A view of one text."""
+    return rrb.TextDocumentView(name=name, origin=origin)
+
+
+def series_view(
+    name: str, path: str, lately_s: float | None = None, drive_s: float = 0.0, start: Any = None
+) -> rrb.TimeSeriesView:
+    """A plot along the slider, of everything or of the last seconds, whose name says what a legend would."""
+    infinite = rr.TimeRangeBoundary.infinite()
+    whole = rrb.TimeAxis(view_range=rr.TimeRange(start=start or infinite, end=infinite))
+    return rrb.TimeSeriesView(
+        name=name,
+        origin=path,
+        plot_legend=rrb.PlotLegend(visible=False),
+        axis_x=whole if lately_s is None else None,
+        time_ranges=None if lately_s is None else lately(lately_s, drive_s),
+    )
+
+
+def aim_eye(space: FreeSpace | None, tilt: float = 0.0, reach: float = 1.0, before: float = 0.25) -> rrb.EyeControls3D:
+    """Place the eye above the room, with space for the scale in front of it.
+
+    Args:
+        space: The room's floor; None: it is not known, and all of a room of usual size is shown.
+        tilt: How far the eye is tilted to the south [rad].
+        reach: Distance of the eye, as a multiple of the distance at which the plan is visible.
+        before: How far south of the room's middle the eye looks [m].
+    """
+    if space is None:
+        return look((0.0, -3.0, 6.4), (0.0, -0.3, 0.0))
+    return _aim_at_rectangle(*limits(space), tilt, reach, before)
+
+
+def look(position: Any, target: Any) -> rrb.EyeControls3D:
+    """An eye at a position (3,) [m] with north up, since one exactly above has no up direction of its own."""
+    return rrb.EyeControls3D(kind=rrb.Eye3DKind.Orbital, position=position, look_target=target, eye_up=(0.0, 1.0, 0.0))
+
+
+def _aim_at_rectangle(
+    low: np.ndarray, high: np.ndarray, tilt: float = 0.0, reach: float = 1.0, before: float = 0.0
+) -> rrb.EyeControls3D:
+    middle = np.array([*(low + high) / 2, 0.0]) - [0, before, 0]
+    distance = reach * (1.2 * max(high[1] - low[1], 0.62 * (high[0] - low[0])) + (0.8 if before else 0.1))
+    return look(middle + distance * np.array([0.0, -np.sin(tilt), np.cos(tilt)]), middle)
+
+
+def _aim_at(points: np.ndarray, views: int = 1) -> rrb.EyeControls3D:
+    """Place the eye above points (n, 2) [m] in one of several views side by side."""
+    return _aim_at_rectangle(points.min(axis=0), points.max(axis=0), reach=max(1.2, 0.55 * views))
+
+
+def distribution_view() -> rrb.Spatial2DView:
+    """A view of the distribution of errors."""
+    return plot_view("Distribution of errors", DISTRIBUTION)
+
+
+def _camera_views(pictures: Mapping[str, str]) -> list[Part]:
+    """Views of the sensors' pictures by their titles: those drawn for people above the others."""
+    views = {name: rrb.Spatial2DView(name=title, origin=f"drive/{name}") for name, title in pictures.items()}
+    large = [views.pop(LARGE)] if LARGE in views else []
+    shares = [1 if name == "fisheye" else 2 for name in views]
+    return [*large, *([rrb.Horizontal(*views.values(), column_shares=shares)] if views else [])]
+
+
+def _diagnosis_view() -> rrb.TextDocumentView:
+    return text_view("Diagnosis of the wheels", DIAGNOSIS)
+
+
+def _ticks_view(drive_s: float) -> rrb.TimeSeriesView:
+    return series_view("Ticks per gap: left blue, right green", "drive/ticks", RECENT_S, drive_s)
+
+
+def _segment_error(drive_s: float) -> rrb.TimeSeriesView:
+    return series_view("Encoder minus truth [mm]", "drive/segment_error", RECENT_S, drive_s)
+
+
+def _loss_view(name: str, start: Any = None) -> rrb.TimeSeriesView:
+    return series_view("Loss, log10: each step pale, running median bright", f"training/{name}", start=start)
+
+
+def _error_fields(space: FreeSpace, layers: Layers, places: Sequence[str] = ()) -> Part:
+    """The first method's error field in the furnished room, all figures, and the other methods' fields as plans."""
+    first, *others = layers
+    coverage = [path.removeprefix("world/") for path in (COVERAGE, DENSITY)]
+    around = ["floor_plan", "scale/**", *places, *coverage]
+    wide = len(others) > 1  # plans below leave less height
+
+    def field_view(name: str, method: str, eye: rrb.EyeControls3D, around: Sequence[str]) -> rrb.Spatial3DView:
+        hidden = dict.fromkeys([*layers[method], COVERAGE, DENSITY], HIDDEN)
+        return room_view(name, [*around, f"error_field/{method}/**"], eye, overrides=hidden)
+
+    room = rrb.Tabs(
+        field_view(
+            f"Error field of {title_of(first)}", first, aim_eye(space, tilt=0.45, reach=1.08), ["room", *around]
+        ),
+        field_view("From above", first, aim_eye(space, reach=0.85 if wide else 1.0), around),
+        active_tab=0,
+    )
+    eye = aim_eye(space, reach=0.85, before=0.0)
+    plans = [field_view(title_of(name), name, eye, ["floor_plan", *coverage]) for name in others]
+    figures = text_view("Figures", FIGURES)
+    if not wide:
+        return rrb.Horizontal(room, rrb.Vertical(figures, *plans), column_shares=[5, 2], name="Error field")
+    above_all = rrb.Horizontal(room, figures, column_shares=[5, 2])
+    return rrb.Vertical(above_all, rrb.Horizontal(*plans), row_shares=[5, 3], name="Error field")
+
+
+def _worst_places(space: FreeSpace, pictures: bool) -> Part:
+    """One of the worst places: its test image beside training images, its place on the floor plan, and its numbers."""
+    name, taken = "Worst places", [f"place/{picture}/**" for picture in PICTURES[1:]]
+    floor = room_view(
+        "The place, and where the training images were taken",
+        ["floor_plan", "outline", "place/radius", "place/error", "place/test", *taken],  # labels are few as it is
+        aim_eye(space, reach=0.9, before=0.0),
+    )
+    texts = [text_view("Place", "place/text"), text_view("Training images", "place/taken")]
+    if not pictures:
+        return rrb.Horizontal(floor, rrb.Vertical(*texts, row_shares=[3, 2]), column_shares=[5, 3], name=name)
+    rows = [
+        rrb.Horizontal(
+            *(
+                rrb.Spatial2DView(name=title, origin=f"place/{picture}/{kind}")
+                for title, picture in zip(titles, PICTURES, strict=True)
+            )
+        )
+        for kind, titles in PICTURE_TITLES.items()
+    ]
+    below = rrb.Horizontal(floor, *texts, column_shares=[5, 5, 4])
+    return rrb.Vertical(*rows, below, row_shares=[10, 3, 9], name=name)
+
+
+def _drive(
+    space: FreeSpace | None, pictures: Mapping[str, str], below: Part, timelines: Sequence[str] | None = None
+) -> Part:
+    """The robot in the room beside its pictures, with something below them."""
+    room = room_view(
+        "Robot and path so far",
+        ["room", "drive/**"],
+        aim_eye(space, tilt=0.45, reach=1.3, before=-0.4),
+        overrides={"world/drive/path": rrb.VisibleTimeRanges(until_now(timelines) if timelines else until_now())},
+        line_grid=space is None,
+    )
+    shares = [*([3] if LARGE in pictures else []), *([2] if set(pictures) - {LARGE} else []), 2]
+    beside = rrb.Vertical(*_camera_views(pictures), below, row_shares=shares)
+    return rrb.Horizontal(room, beside, column_shares=[5, 4], name="Drive")
+
+
+def _making(space: FreeSpace, method: str) -> Part:
+    """How the initial map is made, and the errors that it expects beside those of the trained method."""
+    making = room_view(
+        "The initial map in the making: choose the timeline `making`",
+        ["outline", f"{MAKING.removeprefix('world/')}/**"],
+        aim_eye(space, before=0.0),
+    )
+    fields = [
+        room_view(
+            name,
+            ["floor_plan", "scale/**", name_layer(method, shown).removeprefix("world/")],
+            aim_eye(space, reach=0.9),
+        )
+        for name, shown in (
+            ("Error that the initial map expects of itself", "expected"),
+            (f"Error field of {title_of(method)}", "worst/**"),
+        )
+    ]
+    beside = rrb.Vertical(text_view("This stage", TEXT), *fields, row_shares=[4, 4, 4])
+    return rrb.Horizontal(making, beside, column_shares=[5, 3], name="Initial map")
+
+
+def _encoders(space: FreeSpace, drive_s: float) -> Part:
+    """The encoders' errors: in words, as paths on the floor, along the drive, and for each segment."""
+    trail = rrb.VisibleTimeRanges(lately(TRAIL_S, drive_s))
+    paths = room_view(
+        "True path (blue) and dead-reckoned path (orange)",
+        ["floor_plan", "drive/**", "reckoned/**"],
+        aim_eye(space, reach=1.5, before=0.0),
+        overrides={"world/drive/path": trail, "world/reckoned/path": trail},
+    )
+    faults = text_view("Faults that were set", "encoders/faults")
+    difference = series_view("Ticks per gap, right minus left", "drive/tick_difference", RECENT_S, drive_s)
+    series = rrb.Vertical(
+        rrb.Horizontal(_segment_error(drive_s), _ticks_view(drive_s), difference),
+        rrb.Horizontal(
+            series_view("Its sum over all segments [mm]", "drive/difference"),
+            series_view("Dead-reckoning drift [m]", "encoders/drift"),
+        ),
+        rrb.Spatial2DView(name="Each segment", origin="encoders/segments"),
+        row_shares=[4, 4, 6],
+    )
+    words = rrb.Vertical(paths, rrb.Tabs(_diagnosis_view(), faults, active_tab=0), row_shares=[5, 6])
+    return rrb.Horizontal(words, series, column_shares=[5, 8], name="Encoders")
+
+
+def _training(space: FreeSpace, trained: Sequence[str], losses: Sequence[rrb.View]) -> Part:
+    above, front = aim_eye(space, reach=0.85, before=0.0), aim_eye(space)
+    maps = [
+        room_view(f"{title_of(name)}: map of the training images", ["outline", f"training/{name}"], above)
+        for name in trained
+    ]
+    errors = [
+        room_view(
+            f"{title_of(name)}: errors on the training images",
+            ["outline", "scale/**", f"training_error/{name}/**"],
+            front,
+        )
+        for name in trained
+    ]
+    rows = [rrb.Horizontal(*row) for row in (maps, errors, losses)]
+    return rrb.Vertical(*rows, row_shares=[5, 6, 4], name="Training")
+
+
+def _report() -> Part:
+    beside = rrb.Vertical(distribution_view(), text_view("The place at the slider", "place/text"), row_shares=[3, 2])
+    return rrb.Horizontal(text_view("Report", "report/text"), beside, column_shares=[2, 3], name="Report")

@@ -1,0 +1,202 @@
+"""Logging along timelines, and saving: atomically, without wall-clock time, and equal contents for equal runs.
+
+The timelines of a run are ``drive_time`` [s], ``step`` of training, ``making`` (stages of the initial map), ``place``,
+which ends with the worst place, and ``progress``, which runs from 0 to ``PROGRESS_END_S`` through the drive, the map's
+making, the training and the worst places at the same time, so that its slider changes every tab. A run in progress has
+``run_time`` [s] alone.
+"""
+
+import hashlib
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
+from datetime import timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import rerun as rr
+import rerun.blueprint as rrb
+
+from deepgps.viewer.read import open_rrd
+from sim.errors import InputError
+from sim.files.atomic import write_bytes
+from sim.files.checksums import check_sum, drop_sum, sha256, write_sum
+from sim.recording.format import Recording
+
+DRIVE_TIME, STEP, MAKING, PLACE, PROGRESS = "drive_time", "step", "making", "place", "progress"
+RUN_TIME = "run_time"
+PROGRESS_END_S = 100.0
+"""Seconds in which the viewer plays everything; a second is one per cent."""
+Rows = Sequence[rr.TimeColumn]
+"""Times of some rows, on one or several timelines."""
+Clock = Callable[[np.ndarray], Rows]
+"""Makes rows at times of a drive (n,) [s]."""
+
+
+def put(
+    stream: rr.RecordingStream,
+    path: str,
+    thing: rr.AsComponents,
+    at: Rows = (),
+    said: Mapping[str, Sequence[str]] | None = None,
+) -> None:
+    """Log something from the one place ``at`` on, or statically without it.
+
+    Texts that are ``said`` of its parts in the tooltip are logged by their components' names.
+    """
+    if said:
+        put(stream, path, rr.AnyValues(**{name: pa.array(texts, pa.utf8()) for name, texts in said.items()}), at)
+    if not at:
+        stream.log(path, thing, static=True)
+        return
+    batches = thing.as_component_batches()
+    columns = [
+        rr.ComponentColumn(one.component_descriptor(), one, lengths=[len(one.as_arrow_array())]) for one in batches
+    ]
+    stream.send_columns(path, at, columns)
+
+
+def put_text(stream: rr.RecordingStream, path: str, text: str, at: Rows = ()) -> None:
+    """Log Markdown, as ``put`` does."""
+    put(stream, path, rr.TextDocument(text, media_type="text/markdown"), at)
+
+
+def send_rows(
+    stream: rr.RecordingStream,
+    path: str,
+    kind: Any,
+    at: Rows,
+    rows: Mapping[str, Any],
+    style: Mapping[str, Any],
+    lengths: Sequence[int] | None = None,
+) -> None:
+    """Log rows of one archetype along timelines.
+
+    Args:
+        stream: Stream to log to.
+        path: The entity.
+        kind: The archetype.
+        at: Times of the rows.
+        rows: Its components that change, each with the values of all rows.
+        style: Its components that all rows have in common, logged statically.
+        lengths: Number of values of each row; None: one each.
+    """
+    stream.log(path, kind.from_fields(**style), static=True)
+    columns = kind.columns(**rows)
+    stream.send_columns(path, at, columns if lengths is None else columns.partition(lengths))
+
+
+def send_series(
+    stream: rr.RecordingStream,
+    path: str,
+    at: Rows,
+    values: np.ndarray,
+    label: str,
+    colour: Sequence[int],
+    width: float = 1.5,
+) -> None:
+    """Log the values (n,) of a plot's line."""
+    stream.log(path, rr.SeriesLines(colors=[colour], names=label, widths=width), static=True)
+    stream.send_columns(path, at, rr.Scalars.columns(scalars=np.asarray(values, float)))
+
+
+def drive_clock(recording: Recording) -> Clock:
+    """The clock of a finished drive."""
+    start, end = recording.time[0], recording.time[-1]
+
+    def make_rows(time: np.ndarray) -> Rows:
+        share = (time - start) / max(end - start, 1e-9)
+        return _with_progress(rr.TimeColumn(DRIVE_TIME, duration=time), PROGRESS_END_S * share)
+
+    return make_rows
+
+
+def run_clock(time: np.ndarray) -> Rows:
+    """The clock of a run in progress."""
+    return [rr.TimeColumn(RUN_TIME, duration=time)]
+
+
+def step_rows(step: np.ndarray, last: int) -> Rows:
+    """Rows at steps of a training (n,) with so many."""
+    return _with_progress(rr.TimeColumn(STEP, sequence=step), PROGRESS_END_S * np.asarray(step) / last)
+
+
+def making_rows(stage: int, last: int) -> Rows:
+    """The row of one stage of a map's making, numbered from 0 to ``last``."""
+    return _with_progress(rr.TimeColumn(MAKING, sequence=[stage]), [PROGRESS_END_S * (stage / max(last, 1))])
+
+
+def place_rows(count: int) -> Rows:
+    """Rows for the worst places, the worst first; it is at the end of both timelines, where the viewer opens them."""
+    place = np.arange(count, 0, -1)  # not from -1 down: at negative times, the viewer shows no pictures
+    return _with_progress(rr.TimeColumn(PLACE, sequence=place), PROGRESS_END_S * (place - 1) / max(count - 1, 1))
+
+
+def until_now(timelines: Sequence[str] = (DRIVE_TIME, PROGRESS)) -> list[rrb.VisibleTimeRange]:
+    """Show what was logged from the start to the slider."""
+    return [_until_now(name, rr.TimeRangeBoundary.infinite()) for name in timelines]
+
+
+def lately(seconds: float, drive_s: float) -> list[rrb.VisibleTimeRange]:
+    """Show the last seconds [s] of the drive, also on the timeline ``progress``, on which the drive is rescaled."""
+    relative, share = rr.TimeRangeBoundary.cursor_relative, seconds / max(drive_s, seconds)
+    return [
+        _until_now(DRIVE_TIME, relative(seconds=-seconds)),
+        _until_now(PROGRESS, relative(seconds=-PROGRESS_END_S * share)),
+    ]
+
+
+def save_recording(
+    path: Path, number: str, title: str, blueprint: rrb.Blueprint, log: Callable[[rr.RecordingStream], None]
+) -> None:
+    """Write a recording atomically.
+
+    Args:
+        path: The ``.rrd`` file.
+        number: The recording's id; equal contents have equal ids.
+        title: The recording's name in the viewer.
+        blueprint: The viewer's layout for it.
+        log: Function that logs its contents.
+    """
+    # Chunks end by size and never by the clock, so that even a busy machine cuts equal runs into equal pieces.
+    by_size = rr.ChunkBatcherConfig(flush_tick=timedelta(days=1))
+    # The viewer keeps one layout for each application, so each recording is an application of its own.
+    stream = rr.RecordingStream(f"deepgps-{number}", recording_id=number, send_properties=False, batcher_config=by_size)
+    with stream:
+        # Write to memory first: on a full disk, Rerun's own file writer hangs or truncates the file without an error.
+        memory = stream.binary_stream()
+        # Active, not only the default: a busy browser may have made a layout of its own before this one arrives.
+        stream.send_blueprint(blueprint, make_active=True, make_default=True)
+        stream.send_recording_name(title)
+        log(stream)
+        stream.flush()
+        data = memory.read()
+        stream.disconnect()
+    drop_sum(path)
+    write_bytes(path, data or b"")
+    write_sum(path)
+
+
+def hash_files(folder: Path, paths: Iterable[Path]) -> str:
+    """Thirty-two hexadecimal digits of what a recording shows: the files' paths in their folder, and their contents."""
+    state = hashlib.sha256()
+    for path in paths:
+        state.update(f"{path.relative_to(folder).as_posix()} {sha256(path)}\n".encode())
+    return state.hexdigest()[:32]
+
+
+def holds(path: Path, number: str) -> bool:
+    """Whether the file is an intact recording with this id."""
+    with suppress(InputError):
+        check_sum(path)
+        return [one.recording_id for one in open_rrd(path).recordings()] == [number]
+    return False
+
+
+def _with_progress(column: rr.TimeColumn, seconds: Any) -> Rows:
+    return [column, rr.TimeColumn(PROGRESS, duration=seconds)]
+
+
+def _until_now(timeline: str, start: rr.TimeRangeBoundary) -> rrb.VisibleTimeRange:
+    return rrb.VisibleTimeRange(timeline, start=start, end=rr.TimeRangeBoundary.cursor_relative(seconds=0))
