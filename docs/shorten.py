@@ -14,9 +14,9 @@ from sim.files.checksums import sha256
 
 ROWS, COLUMNS = 10, 8
 LESS = (
-    *("runs", "seeds", "images", "outputs", "worst RMS", "said", "train [s]", "RMS / side", "RMS / PoseNet"),
-    *("seen", "flipped", "unlabelled", "label RMS [cm]", "stored [million]", "p95 [cm]", "headings [cm]"),
-    *("max of accepted [cm]", "accepted", "RMS of accepted [cm]", "travel [m]", "RMS", "median", "max", "max [cm]"),
+    *("runs", "images", "outputs", "RMS, most [cm]", "said", "train [s]", "RMS / side [%]", "RMS / base"),
+    *("seen [%]", "flipped [%]", "unlabelled", "unlabelled, test", "labels rms [cm]", "stored million", "p95 [cm]"),
+    *("headings [cm]", "max of accepted [cm]", "accepted [%]", "RMS of accepted [cm]", "travel [m]", "max [cm]"),
 )
 """Columns that a page can do without, the least important first."""
 Table = list[list[str]]

@@ -4,7 +4,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
 from deepgps.reports.table import tabulate
 
@@ -20,6 +19,14 @@ FORMS = {
     "": (1, 2, ""),
     "count": (1, 0, ""),
 }
+SUFFIXES = {"_m": "cm", "_s": "s"}
+SHARES = (
+    *("relative_rms", "relative_median", "seen", "flipped", "accepted", "misplaced", "turned", "planar"),
+    *("radius_68_holds", "radius_95_holds", "grid_68", "grid_95", "use_68", "use_95", "within_2_cm", "within_5_cm"),
+    *("refused", "large_refused", "images", "right_share", "interval_holds", "holds_with_fault", "map_too_large"),
+)
+UNITS = {"distance_m": "m", **dict.fromkeys(SHARES, "%")}
+"""Units of columns that their ends do not tell."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +62,8 @@ def median_of(title: str, values: Sequence[float], unit: str, at_least: bool = F
 
 def share_of(title: str, held: Sequence[bool], at_least: bool = True) -> Figure:
     """In what share of the cases something held, with Wilson's score interval; without cases there is no value."""
+    from scipy import stats  # here, since it is slow to import and a study is checked without it
+
     if not held:
         return Figure(title, None, "%", at_least)
     count = sum(map(bool, held))
@@ -128,6 +137,11 @@ def judge(value: float | None, target: float | None, at_least: bool = False) -> 
         return "not measured"
     met = value >= target if at_least else value <= target
     return "met" if met else "missed"
+
+
+def unit_of(column: str) -> str:
+    """The unit in which a study's column is written."""
+    return UNITS.get(column) or next((unit for end, unit in SUFFIXES.items() if column.endswith(end)), "")
 
 
 def write(value: float | None, unit: str) -> str:

@@ -1,12 +1,10 @@
 """The runs of a study, all checked before the first one starts."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
 from functools import cache, lru_cache
 from itertools import product
 from pathlib import Path
-from pkgutil import resolve_name
 from typing import Any
 
 from deepgps.config.methods import find_method
@@ -21,6 +19,7 @@ from deepgps.config.setting_problems import MOST_PROBLEMS, join_problems
 from deepgps.runs.inputs import digest, digest_recording, read_room
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.study import Point, Study
+from deepgps.studies.table import Plan
 from deepgps.terminal.progress import Report, ignore
 from sim.errors import InputError, shorten
 from sim.files import SCENARIOS
@@ -30,23 +29,6 @@ MOST_WRONG = 500
 """Number of invalid runs after which planning stops."""
 STRIDE = 100
 """Runs planned between two progress reports."""
-
-
-@dataclass(frozen=True)
-class Plan:
-    """One run of a study.
-
-    Attributes:
-        scenario: The scenario to run.
-        varied: Settings that distinguish the run from the study's other runs, by dotted name.
-        run: Hash of everything the run depends on, which names its folder.
-        recording: Hash of everything the recording depends on, which names its folder.
-    """
-
-    scenario: Scenario
-    varied: Mapping[str, Any]
-    run: str
-    recording: str
 
 
 def plan_runs(study: Study, progress: Report = ignore) -> list[Plan]:
@@ -162,4 +144,4 @@ def _points(study: Study) -> Iterator[tuple[int, Point]]:
         for case, values, seed in product(study.cases, product(*study.axes.values()), study.seeds)
     )
     draw = REPORTS[study.report].draw_runs
-    yield from resolve_name(draw)(study.set, list(points)) if draw else points
+    yield from draw(study.set, list(points)) if draw else points

@@ -1,5 +1,6 @@
 """The study: one scenario and what varies in it."""
 
+import re
 from collections.abc import Mapping, Sequence
 from os.path import isfile
 from pathlib import Path
@@ -112,9 +113,9 @@ class Study(Variation):
 
     @model_validator(mode="after")
     def _figures_exist(self) -> "Study":
-        known = REPORTS[self.report].targets
+        known = [target.name for target in REPORTS[self.report].targets]
         for name in (*self.target, *self.paper):
-            if name not in known:
+            if not any(re.fullmatch(re.sub(r"\{\w+\}", r"\\w*", one), name) for one in known):
                 has = f"has {', '.join(known)}" if known else "has none"
                 raise ValueError(
                     f"target and paper: {shorten(name)} is no figure of the report {self.report}, which {has}"

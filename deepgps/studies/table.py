@@ -1,19 +1,16 @@
 """A study's table: one row for each run and method, read from the runs' own files."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from io import BytesIO
 from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from deepgps.config.methods import title_of
 from deepgps.config.scenario import Scenario
-from deepgps.reports.run_report import read_metrics
-from deepgps.studies.plan import Plan
 from sim.files.atomic import write_bytes
 from sim.files.checksums import drop_sum, write_sum
 
@@ -30,6 +27,23 @@ FIGURES = (
 MAP_FIGURES = ("rms_m", "expected_rms_m", "nees", "flipped_m2")
 LEVELS = (68, 95)
 """Probabilities with which the radii of images hold the true position [%]."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """One run of a study.
+
+    Attributes:
+        scenario: The scenario to run.
+        varied: Settings that distinguish the run from the study's other runs, by dotted name.
+        run: Hash of everything the run depends on, which names its folder.
+        recording: Hash of everything the recording depends on, which names its folder.
+    """
+
+    scenario: Scenario
+    varied: Mapping[str, Any]
+    run: str
+    recording: str
 
 
 def gather(plans: Sequence[Plan], failures: Mapping[str, str], folder: Path) -> list[Row]:
@@ -61,6 +75,9 @@ def tell_apart(rows: Sequence[Row], names: Sequence[str]) -> list[str]:
 
 def write_table(path: Path, rows: Sequence[Row]) -> None:
     """Write rows as a Parquet file."""
+    import pyarrow as pa  # here, since a study can be checked without it
+    import pyarrow.parquet as pq
+
     table = pa.table({name: [row[name] for row in rows] for name in rows[0]})
     buffer = BytesIO()
     pq.write_table(table, buffer)
@@ -71,6 +88,8 @@ def write_table(path: Path, rows: Sequence[Row]) -> None:
 
 def read_rows(path: Path) -> list[Row]:
     """Read a table that ``write_table`` wrote."""
+    import pyarrow.parquet as pq
+
     return pq.read_table(path).to_pylist()
 
 
@@ -87,26 +106,28 @@ def split_by_label(rows: Iterable[Row], label: Callable[[Row], Any]) -> dict[Any
     return groups
 
 
-def choices(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
-    """Names that vary by choice, without seeds, which only repeat runs, and names that follow from earlier names."""
+def choices(rows: Sequence[Row], names: Sequence[str]) -> list[str]:
+    """The names that tell cases apart, without those whose values follow from earlier ones."""
     chosen: list[str] = []
-    for name in varied:
-        before, after = (len({tuple(row[one] for one in names) for row in rows}) for names in (chosen, [*chosen, name]))
-        if not is_seed(name) and after > before:
+    for name in names:
+        before, after = (len({tuple(row[one] for one in some) for row in rows}) for some in (chosen, [*chosen, name]))
+        if after > before:
             chosen.append(name)
     return chosen
 
 
-def group_rows(rows: Iterable[Row], names: Sequence[str]) -> dict[tuple[str, ...], list[Row]]:
-    """Rows by the values of these names followed by the method."""
-    return split_by_label(rows, lambda row: (*(str(row[name]) for name in names), row["method"]))
-
-
-def describe_group(key: tuple[str, ...], names: Sequence[str]) -> str:
-    """Describe a key of ``group_rows`` in words; numbers and flags appear with their names."""
-    pairs = zip(shorten(names), key, strict=False)
-    words = [value if value[:1].islower() else f"{name} {value}" for name, value in pairs]
-    return ", ".join([*words, title_of(key[-1])])
+def describe(row: Row, names: Sequence[str]) -> str:
+    """Values of a row in words; numbers and flags appear with their names, and flags only where they are set."""
+    words = []
+    for name, short in zip(names, shorten(names), strict=True):
+        value = row[name]
+        if name == "method":
+            words.append(title_of(value))
+        elif isinstance(value, str):
+            words.append(value)
+        elif value is not None and value is not False:
+            words.append(short.replace("_", " ") + ("" if value is True else f" {value:g}"))
+    return ", ".join(words) or "all"
 
 
 def shorten(names: Sequence[str]) -> list[str]:
@@ -146,6 +167,8 @@ def read_setting(scenario: Scenario, dotted: str) -> Any:
 
 
 def _rows(plan: Plan, varied: Sequence[str], failure: str | None, folder: Path) -> list[Row]:
+    from deepgps.reports.run_report import read_metrics
+
     metrics = {} if failure else read_metrics(folder / "runs" / plan.run)
     coverage = metrics.get("coverage")
     head = {

@@ -1,177 +1,150 @@
-"""The reports "plain", "compare", "networks" and "strategies": runs side by side, or means over their seeds."""
+"""The reports "plain", "compare", "networks", "strategies", "curves": runs side by side, or means over their seeds."""
 
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Sequence
 
-import numpy as np
-from matplotlib.figure import Figure as Picture
-
-from deepgps.config.methods import colour_of, folder_of, title_of
-from deepgps.evaluation.evaluate import measure_heading_spread
-from deepgps.positioner.positioner import Positioner
-from deepgps.positioner.stored_positioner import load_positioner
-from deepgps.reports.plots import add_scale, count_by_decades, print_error_field
-from deepgps.reports.targets import Figure, compare_means, mean_of
-from deepgps.studies.reports.columns import (
-    FOLDED,
-    IN_CM,
-    OF_ACCEPTED,
-    RUNS,
-    TRAIN,
-    Column,
-    Line,
-    explain_accepted,
-    form,
-    lines_of_rows,
-    tabulate_lines,
-    write_worst,
+from deepgps.studies.reports.record import (
+    ACCEPTED,
+    CHOICES,
+    ERRORS,
+    GRID,
+    VARIED,
+    Curves,
+    Dots,
+    Fields,
+    StudyReport,
+    Table,
+    Target,
 )
-from deepgps.studies.table import Row, choices, describe_group, find_methods, group_rows, is_seed, shorten, split_by
-from sim.recording.format import open_recording
+from deepgps.studies.table import Row, choices, describe, mean, split_by, split_by_label, varied_in
 
+COMPARE = Table(
+    f"{CHOICES} method",
+    f"runs samples distance_m {ERRORS} rms_m:max paper_rms_m paper_bound_m relative_rms {ACCEPTED} heading_spread_m "
+    "turn_spread_m folded fold_found train_s",
+)
 NOTE = (
-    "Means over runs that differ only in their seeds. Errors on the test grid, for the worst heading of each position; "
-    "aligned on training samples, never scaled. Headings: RMS distance of the predictions at one position from their "
-    "mean. Folded: maps that flip more than a tenth of the neighbourhoods; said: maps that the detector, which does "
-    "not use the truth, reports as folded."
+    f"Means over runs that differ only in their seeds. {GRID}Headings: RMS distance of the predictions at one position "
+    "from their mean. Folded: maps that flip more than a tenth of the neighbourhoods; said: maps that the detector, "
+    "which does not use the truth, reports as folded."
 )
-DRIVEN = (Column("images", form("samples", ".0f")), Column("travel [m]", form("distance_m", ".0f")))
-HEADINGS = Column("headings [cm]", form("heading_spread_m", ".3g", 100))
-TURNED = Column("turned [cm]", form("turn_spread_m", ".3g", 100))
 TURNED_NOTE = (
     "Turned: RMS distance from their mean of the predictions for one test image turned by every whole number of "
     "sectors; unlike the spread over headings, it excludes the effects of rendering."
 )
+PICTURES = {"errors": Dots(f"{CHOICES} method"), "error_fields": Fields(f"{CHOICES} method")}
 NETWORK, SHIFT = "learn.network.architecture", "learn.train.shift"
 STRATEGY, SAMPLES = "drive.strategy", "drive.samples"
-TURNED_IMAGES = 30
+AXES = {"encoder.step_noise": "noise w per gap between readings", SAMPLES: "training images"}
+# The paper on DeepGPS: its RMS is below this share of the room's side (Sec. V-A); its RMS at a value [m] (V-B).
+PAPER_SHARE = {"encoder.step_noise": 0.02}
+PAPER_RMS: dict[str, dict[float, float]] = {SAMPLES: {1000: 0.04}}
+KNEE = 1.25
 
 
-def report_runs(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
-    """A table with one line for each run and method."""
-    table = tabulate_lines([*varied, "method"], lines_of_rows(rows, *varied), (*IN_CM, *OF_ACCEPTED))
-    return [table, *explain_accepted(rows)]
+def find_images(rows: Sequence[Row], varied: Sequence[str]) -> list[Row]:
+    """Rows with a column for whether they have as many images as those of the dense strategy."""
+    counts = {row[SAMPLES] for row in rows if row[STRATEGY] == "dense"}
+    return [{**row, "as_many": row[SAMPLES] in counts} for row in rows]
 
 
-def report(rows: Sequence[Row], varied: Sequence[str], also: Sequence[Column] = ()) -> list[str]:
-    """A table with a line for each combination of choices and each method, and a note on how to read it."""
-    names = choices(rows, varied)
-    lines = [Line((*key[:-1], title_of(key[-1])), group) for key, group in group_rows(rows, names).items()]
-    errors = (*IN_CM, Column("worst RMS", write_worst()), *OF_ACCEPTED)
-    columns = (RUNS, *DRIVEN, *errors, HEADINGS, *also, *FOLDED, TRAIN)
-    follow = [name for name in varied if names and name not in names and not is_seed(name)]
-    dependent = [f"Dependent settings: {'; '.join(_tell(rows, names, name) for name in follow)}."] if follow else []
-    table = tabulate_lines([*shorten(names), "method"], lines, columns)
-    return [table, *dependent, NOTE, *explain_accepted(rows)]
+def find_curves(rows: Sequence[Row], varied: Sequence[str]) -> list[Row]:
+    """Rows with their curve's panel and place along the axis, the last setting that varies, and the paper's RMS."""
+    *others, axis = varied_in(rows[0])
+    names, last = choices(rows, others), max(row[axis] for row in rows)
+    prepared = [
+        {
+            **{**row, "axis": row[axis], "axis_title": AXES.get(axis, axis), "axis_name": axis},
+            **{"case": describe(row, names) if names else "", "at_end": row[axis] == last},
+            "relative_median": row["median_m"] / row["shorter_side_m"],
+            "paper_rms_m": PAPER_RMS.get(axis, {}).get(row[axis]) if row["method"] == "deepgps" else None,
+            "paper_bound_m": PAPER_SHARE[axis] * row["shorter_side_m"] if axis in PAPER_SHARE else None,
+        }
+        for row in rows
+    ]
+    ours = split_by([row for row in prepared if row["method"] == "deepgps"], "case")
+    knees = {case: find_knee(curve, axis) for case, curve in ours.items()}
+    return [{**row, "knee": knees.get(row["case"]) if row["method"] == "deepgps" else None} for row in prepared]
 
 
-def report_networks(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
-    """The same, with how much the answer changes when an image is turned."""
-    return [*report(rows, varied, (TURNED,)), TURNED_NOTE]
+def find_knee(curve: Sequence[Row], axis: str) -> float | None:
+    """The least value of the axis from which on the RMS (mean over seeds) is at most KNEE times the RMS at the end.
+
+    None if no value exceeds that bound or only the last is within it: a line without a drop, or one that still falls,
+    has no knee.
+    """
+    means = {value: mean(group, "rms_m") for value, group in sorted(split_by(curve, axis).items())}
+    end = max(means)
+    beyond = [value for value, rms in means.items() if rms > KNEE * means[end]]
+    knee = min(value for value in means if value > max(beyond)) if beyond else end
+    return knee if knee < end else None
 
 
-def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
-    """Draw RMS (filled) and median (open) of every run, with a line for each group."""
-    names = choices(rows, varied)
-    groups = {describe_group(key, names): group for key, group in group_rows(rows, names).items()}
-    picture = draw_dots(groups, (7.6, 1.2 + 0.32 * len(groups)))
-    picture.axes[0].set_xlabel("error of the worst heading [cm]\nfilled: RMS, open: median")
-    return picture
+def tell_knees(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
+    """A sentence for each curve of DeepGPS that has a knee."""
+    known = [row for row in rows if row["knee"] is not None]
+    return [
+        f"The knee{f' of {case}' if case else ''}: {name} {knee:g}, the smallest value from which the RMS of DeepGPS "
+        f"(mean over seeds) stays within {KNEE} times that at {max(row['axis'] for row in rows):g}."
+        for case, name, knee in split_by_label(known, lambda row: (row["case"], row["axis_name"], row["knee"]))
+    ]
 
 
-def draw_dots(lines: Mapping[str, Sequence[Row]], size: tuple[float, float]) -> Picture:
-    """Draw RMS (filled) and median (open) of every method, with a line for each label."""
-    picture = Picture(figsize=size, layout="constrained")
-    axes = picture.add_subplot()
-    placed = [(place, row) for place, rows in enumerate(lines.values()) for row in rows]
-    for method in find_methods(row for _, row in placed):
-        colour, title = colour_of(method), title_of(method)
-        places = [place for place, row in placed if row["method"] == method]
-        for name, inside, word in (("rms_m", colour, "RMS"), ("median_m", "none", "median")):
-            values = [100 * row[name] for _, row in placed if row["method"] == method]
-            axes.plot(values, places, "o", color=colour, mfc=inside, label=f"{title}, {word}")
-    axes.set_yticks(range(len(lines)), list(lines))
-    axes.set(xscale="log", xlabel="error of the worst heading [cm]", ylim=(len(lines) - 0.5, -0.5))
-    count_by_decades(axes.xaxis)
-    axes.grid(alpha=0.25, which="both")
-    return picture
+def _list_targets_of_networks() -> list[Target]:
+    shifted = {SHIFT: (None, True)}
+    plain, paper = {NETWORK: "resnet_plain", **shifted}, {NETWORK: "resnet_paper", **shifted}
+    shown = ("spectral", "invariant", "resnet", "resnet_paper", "resnet_plain")
+    turned = ("spectral", "invariant")
+    words = "resnet_plain / resnet_paper"
+    return [
+        *(Target(name, f"RMS, {name}", "rms_m", {NETWORK: name, **shifted}) for name in shown),
+        *(Target(f"{name}_turned", f"turned, {name}", "turn_spread_m", {NETWORK: name}, unit="mm") for name in turned),
+        Target("plain_ratio", f"RMS, {words}", "rms_m", plain, paper, at_least=True),
+        Target("plain_turned", f"turned, {words}", "turn_spread_m", plain, paper, at_least=True),
+    ]
 
 
-def draw_fields(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
-    """Draw the error field of each group's run with the median RMS."""
-    names = choices(rows, varied)
-    groups = group_rows(rows, names)
-    columns = min(3, len(groups))
-    lines = -(-len(groups) // columns)
-    picture = Picture(figsize=(4.6 * columns + 0.8, 3.3 * lines + 0.3), layout="constrained")
-    panels = list(picture.subplots(lines, columns, squeeze=False).flat)
-    for axes, (key, group) in zip(panels, groups.items(), strict=False):
-        row = sorted(group, key=lambda row: row["rms_m"])[(len(group) - 1) // 2]
-        print_error_field(axes, folder / "runs" / row["run"], row["method"])
-        axes.set_title(f"{describe_group(key, names)}\nRMS {100 * row['rms_m']:.1f} cm", fontsize=9)
-    for axes in panels[len(groups) :]:
-        axes.set_axis_off()
-    add_scale(picture, panels)
-    return picture
+def _list_targets_of_strategies() -> list[Target]:
+    ends, dense = {"method": "deepgps", STRATEGY: "endpoint"}, {"method": "deepgps", STRATEGY: "dense"}
+    few, many = ({**ends, "as_many": as_many} for as_many in (False, True))
+    return [
+        Target("travel_ratio", "RMS, end-point / dense, equal travel", "rms_m", few, dense, at_least=True),
+        Target("samples_ratio", "RMS, end-point / dense, equal images", "rms_m", many, dense, at_least=True),
+        Target("way_ratio", "travel, end-point / dense, equal images", "distance_m", many, dense, at_least=True),
+    ]
 
 
-def measure_networks(rows: Sequence[Row]) -> dict[str, Figure]:
-    """RMS of each network trained with shifted images, as in the paper; and the effect of the padding."""
-    groups = split_by(rows, NETWORK)
-    shifted = {name: [row for row in group if row.get(SHIFT, True)] for name, group in groups.items()}
-    figures = {
-        name: mean_of(f"RMS, {name}", [row["rms_m"] for row in group], "cm") for name, group in shifted.items() if group
-    }
-    for name in ("spectral", "invariant"):
-        if group := groups.get(name):
-            figures[f"{name}_turned"] = mean_of(f"turned, {name}", [row["turn_spread_m"] for row in group], "mm")
-    plain, paper = shifted.get("resnet_plain"), shifted.get("resnet_paper")
-    if plain and paper:
-        for name, column, word in (("plain_ratio", "rms_m", "RMS"), ("plain_turned", "turn_spread_m", "turned")):
-            title = f"{word}, resnet_plain / resnet_paper"
-            figures[name] = compare_means(title, plain, paper, column, at_least=True)
-    return figures
+def _list_targets_of_curves() -> list[Target]:
+    words = {"rms_m": "RMS", "relative_rms": "RMS / side", "relative_median": "median / side"}
+    end = {"method": "deepgps", "at_end": True}
+    return [
+        *(
+            Target(name, f"{title} at {{axis_name}} {{axis:g}}", name, end, each="case")
+            for name, title in words.items()
+        ),
+        Target("knee", "knee of {axis_name}", "knee", each="case", unit="count"),
+    ]
 
 
-def measure_strategies(rows: Sequence[Row]) -> dict[str, Figure]:
-    """Ratios of the end-point strategy to the dense one: RMS of DeepGPS, and distance travelled."""
-    rows = [row for row in rows if row["method"] == "deepgps"]
-    dense = [row for row in rows if row[STRATEGY] == "dense"]
-    counts = {row[SAMPLES] for row in dense}
-    ends = [row for row in rows if row[STRATEGY] == "endpoint"]
-    same = [row for row in ends if row[SAMPLES] in counts]
-    fewer = [row for row in ends if row[SAMPLES] not in counts]
-    pairs = {
-        "travel_ratio": ("RMS, end-point / dense, equal travel", fewer, "rms_m"),
-        "samples_ratio": ("RMS, end-point / dense, equal images", same, "rms_m"),
-        "way_ratio": ("travel, end-point / dense, equal images", same, "distance_m"),
-    }
-    return {
-        name: compare_means(title, group, dense, column, at_least=True)
-        for name, (title, group, column) in pairs.items()
-        if dense and group
-    }
-
-
-def add_turn_spread(run: Path, row: Row) -> Row:
-    """A column for how much a trained network's prediction changes when an image is turned."""
-    images = open_recording(run / "recording").test_observation
-    some = np.linspace(0, len(images) - 1, min(TURNED_IMAGES, len(images))).round().astype(int)
-    return {"turn_spread_m": measure_turn_spread(load_positioner(folder_of(run, row["method"])), images[some, 0])}
-
-
-def measure_turn_spread(positioner: Positioner, images: np.ndarray) -> float:
-    """RMS distance [m] of predictions from their mean over all turns of each image (n, rings, sectors, 3)."""
-    turned = np.stack([np.roll(images, turn, axis=2) for turn in range(images.shape[2])], axis=1)
-    return measure_heading_spread(positioner(turned.reshape(-1, *images.shape[1:])).reshape(*turned.shape[:2], 2))
-
-
-def _tell(rows: Sequence[Row], names: Sequence[str], follows: str) -> str:
-    """Values of a setting that follows from choices, each with them: ``learn.start paths (dense), ends (endpoint)``."""
-    # the fewest leading choices from which the setting follows
-    few = next(names[: k + 1] for k in range(len(names)) if choices(rows, [*names[: k + 1], follows])[-1] != follows)
-    with_value: dict[str, dict[str, None]] = {}
-    for row in rows:
-        key = " ".join(str(row[name]) for name in few)
-        with_value.setdefault(str(row[follows]), {})[key] = None
-    return f"{follows} " + ", ".join(f"{value} ({'; '.join(keys)})" for value, keys in with_value.items())
+_CURVES = Curves(
+    "case",
+    "axis",
+    "axis_title",
+    also={"median_m": "median"},
+    lines={"paper_bound_m": "paper: below this share of the side", "paper_rms_m": "paper's RMS"},
+)
+REPORTS = {
+    "plain": StudyReport((Table(f"{VARIED} method", f"{ERRORS} {ACCEPTED}"),)),
+    "compare": StudyReport((COMPARE,), NOTE, pictures=PICTURES),
+    "networks": StudyReport(
+        (COMPARE,),
+        f"{NOTE} {TURNED_NOTE}",
+        targets=_list_targets_of_networks(),
+        pictures=PICTURES,
+        columns="from_runs:add_turn_spread",
+        varies=(NETWORK,),
+    ),
+    "strategies": StudyReport(
+        (COMPARE,), NOTE, find_images, None, _list_targets_of_strategies(), PICTURES, varies=(STRATEGY, SAMPLES)
+    ),
+    "curves": StudyReport((COMPARE,), NOTE, find_curves, tell_knees, _list_targets_of_curves(), {"curves": _CURVES}),
+}

@@ -1,46 +1,45 @@
-"""The report of diagnoses: which faults were named, whether intervals hold, and how exact the wheels are known."""
+"""The report "diagnose": which faults were named, whether intervals hold, and how exact the wheels are known."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from matplotlib.figure import Figure as Picture
-
 from deepgps.config.scenario import Scenario
-from deepgps.diagnosis.store import FILE
-from deepgps.reports.table import tabulate
-from deepgps.reports.targets import Figure, median_of, share_of
-from deepgps.studies.plan import Plan
-from deepgps.studies.table import Row, read_setting
+from deepgps.studies.diagnose_runs import draw_runs
+from deepgps.studies.reports.record import Scatter, StudyReport, Table, Target
+from deepgps.studies.table import Plan, Row, read_setting
 from sim.files.checksums import read_json
 
 FAULTS = ("radius", "wheel", "track", "slip", "step_noise", "ticks", "dropout", "stuck")
-ALIKE, NONE = "both radii alike", "none"
+ALIKE = "both radii alike"
 QUANTITIES = {
-    "track_m": "track width",
-    "reading_ratio": "readings, right over left",
-    "wheel_ratio": "radius, right over left",
-    "step_noise": "noise of a gap",
-    "slip_per_m": "slip in a metre",
-    "dropout": "readings lost",
-    "stuck_fraction": "gaps with a stuck wheel",
+    "track_m": ("track width [m]", ("track", "alike", "radius", "wheel")),
+    "reading_ratio": ("readings, right over left", ("radius",)),
+    "wheel_ratio": ("radius, right over left", ("wheel",)),
+    "step_noise": ("noise of a gap", ("step_noise",)),
+    "slip_per_m": ("slip in a metre [m]", ("slip",)),
+    "dropout": ("readings lost", ("dropout",)),
+    "stuck_fraction": ("gaps with a stuck wheel", ("stuck",)),
 }
-"""Quantities with an interval; ticks are counted."""
-UNITS = {"track_m": " [m]", "slip_per_m": " [m]"}
-"""Units of the quantities that have one."""
-HELD, MISSED = "#2a6f97", "#d1495b"
+"""Quantities with an interval, in words, and the faults that change them; ticks are counted."""
+RELATIVE = ("track_m", "reading_ratio", "wheel_ratio")
+"""Quantities whose errors are relative."""
 NOTE = (
     "Faults of one recording, alone: rows are what was set, columns what was diagnosed; a recording with two findings "
     "counts in two columns. A fault below the smallest size that its diagnosis states (ticks shorter than 2 mm) is not "
     "one that must be found. Both radii wrong alike by e make turns by the wheels 1 + e too large, as a track width "
     "that is wrong by 1 / (1 + e) does: the two are one and the same to every sensor of the robot, so the finding "
-    "`track` names both, and counts as right for either. Nothing else may be found there."
+    "`track` names both, and counts as right for either. Nothing else may be found there.\n\n"
+    "Intervals are of 95 %. With fault: recordings in which the quantity is not what a perfect wheel has. Errors are "
+    "relative for track width and ratios, and of the quantity itself elsewhere; those of slip and of the noise of a "
+    "gap grow with them, and the track width is less exact where turns by the wheels are themselves noisy."
 )
 
 
 def gather_diagnoses(plans: Sequence[Plan], failures: Mapping[str, str], folder: Path) -> list[Row]:
     """A row for each recording: its settings, each quantity as it is and as it was found, and the faults."""
+    from deepgps.diagnosis.store import FILE
+
     names = list(dict.fromkeys(name for plan in plans for name in plan.varied))
     rows = []
     for plan in plans:
@@ -70,173 +69,137 @@ def tell_truth(scenario: Scenario, odometry: Mapping[str, float]) -> dict[str, f
         "track_m": track_m * read_m / (1.0 + wheel / 2.0),
         "reading_ratio": (1.0 + encoder.radius_error_right) / (1.0 + encoder.radius_error_left),
         "wheel_ratio": 1.0 / (1.0 + wheel),
-        "step_noise": encoder.step_noise,
-        "slip_per_m": encoder.slip_per_m,
-        "dropout": encoder.dropout,
-        "stuck_fraction": encoder.stuck_fraction,
+        **{name: getattr(encoder, name) for name in ("step_noise", "slip_per_m", "dropout", "stuck_fraction")},
     }
 
 
 def list_set(scenario: Scenario) -> list[str]:
-    """Names of the faults that were set; ``ALIKE`` for both radii."""
-    encoder = scenario.encoder
-    if encoder.radius_error_left and encoder.radius_error_left == encoder.radius_error_right:
-        return ["alike"]
-    there = {
-        "radius": encoder.radius_error_left or encoder.radius_error_right,
-        "wheel": scenario.robot.wheel_radius_error,
-        "track": encoder.track_error,
-        "slip": encoder.slip_per_m,
-        "step_noise": encoder.step_noise,
-        "ticks": encoder.ticks_per_rev != type(encoder)().ticks_per_rev,
-        "dropout": encoder.dropout,
-        "stuck": encoder.stuck_fraction,
-    }
-    return [name for name, value in there.items() if value]
+    """Names of the faults that were set; alike for both radii."""
+    return [name for name, size in _size_faults(scenario).items() if size]
 
 
 def list_must(scenario: Scenario, found: Mapping[str, Any]) -> list[str]:
     """The faults that were set above the smallest size that the diagnosis states."""
-    encoder, least = scenario.encoder, found["smallest"]
-    size = {
-        "alike": abs(encoder.radius_error_left),
-        "radius": abs(encoder.radius_error_left or encoder.radius_error_right),
+    size, least = _size_faults(scenario), found["smallest"]
+    size["ticks"] *= found["quantities"]["tick_m"]["value"]
+    return [name for name in list_set(scenario) if size[name] > least.get(name, least["track"])]
+
+
+def _size_faults(scenario: Scenario) -> dict[str, float]:
+    """The size of each fault; of ticks, whether there are fewer."""
+    encoder = scenario.encoder
+    left, right = encoder.radius_error_left, encoder.radius_error_right
+    return {
+        "alike": abs(left) if left == right else 0.0,
+        "radius": abs(left or right) if left != right else 0.0,
         "wheel": abs(scenario.robot.wheel_radius_error),
         "track": abs(encoder.track_error),
         "slip": encoder.slip_per_m,
         "step_noise": encoder.step_noise,
-        "ticks": found["quantities"]["tick_m"]["value"],
+        "ticks": float(encoder.ticks_per_rev != type(encoder)().ticks_per_rev),
         "dropout": encoder.dropout,
         "stuck": encoder.stuck_fraction,
     }
-    return [name for name in list_set(scenario) if size[name] > least.get(name, least["track"])]
 
 
-def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
-    """The confusion table, the pairs of faults, and the intervals."""
-    blocks = ["## What was found", tabulate(*confuse(rows)), NOTE]
-    if pairs := [row for row in rows if len(row["set"].split()) > 1]:
-        lines = [[row["set"], row["found"] or NONE, _describe_pair(row)] for row in pairs]
-        blocks += ["## Two faults at a time", tabulate(["set", "found", "missed or wrong"], lines)]
-    return [*blocks, "## Intervals and errors", tabulate(*judge_intervals(rows)), EXPLAIN]
+def judge(rows: Sequence[Row], varied: Sequence[str]) -> list[Row]:
+    """Rows of recordings, of each quantity of them, and of each fault: that must be found, was set, and was found."""
+    judged = []
+    for row in sorted(rows, key=lambda row: ("", "alike", *FAULTS, row["set"]).index(row["set"])):
+        made, found, must = (row[name].split() for name in ("set", "found", "must"))
+        right, alike = ["track" if name == "alike" else name for name in made], made == ["alike"]
+        wrong = [f"{name} missed" for name in sorted({*must} - {*found})]
+        wrong += [f"{name} wrong" for name in sorted({*found} - {*right})]
+        quantities = {name: _judge_quantity(row, name, made) for name in QUANTITIES}
+        recording = {
+            **{
+                "kind": "recording",
+                "faults": len(made),
+                "set": {"": "none", "alike": ALIKE}.get(row["set"], row["set"]),
+            },
+            **{"found": ", ".join(found) or "none", "missed_or_wrong": ", ".join(wrong) or "-"},
+            **{name: name in (found or ["none"]) for name in (*FAULTS, "none")},
+            "too_small": bool(made) and not alike and not must,
+            "alarm": bool({*found} - {"track"} if alike else found),
+            "ratio_error": max(quantities[name]["error"] for name in ("reading_ratio", "wheel_ratio")),
+        }
+        judged += [recording, *quantities.values()]
+        for kind, names, among in (("must", must, found), ("set", made, found), ("finding", found, right)):
+            judged += [{"kind": kind, "right": name in among} for name in names if name != "alike"]
+    return judged
 
 
-EXPLAIN = (
-    "Intervals are of 95 %. With fault: recordings in which the quantity is not what a perfect wheel has. Errors are "
-    "relative for track width and ratios, and of the quantity itself elsewhere; those of slip and of the noise of a "
-    "gap grow with them, and the track width is less exact where turns by the wheels are themselves noisy."
-)
-
-
-def confuse(rows: Sequence[Row]) -> tuple[list[str], list[list[str]]]:
-    """Recordings with at most one fault, by what was set and what was found."""
-    columns = [*FAULTS, NONE]
-    lines = []
-    for name in ("", "alike", *FAULTS):
-        group = [row for row in rows if row["set"] == name]
-        if group:
-            found = [row["found"].split() or [NONE] for row in group]
-            counts = [sum(column in one for one in found) for column in columns]
-            title = {"": NONE, "alike": ALIKE}.get(name, name)
-            below = sum(1 for row in group if name and name != "alike" and not row["must"])
-            lines.append([title, str(len(group)), *(str(count) if count else "-" for count in counts), str(below)])
-    return ["set", "recordings", *columns, "too small"], lines
-
-
-def judge_intervals(rows: Sequence[Row]) -> tuple[list[str], list[list[str]]]:
-    """For each quantity, how often its interval holds, and how large the errors are."""
-    lines = []
-    for name, title in QUANTITIES.items():
-        held, faulty = [holds(row, name) for row in rows], [holds(row, name) for row in rows if _is_off(row, name)]
-        errors = [_error(row, name) for row in rows]
-        form = "{:.3f} %" if name in {"track_m", "reading_ratio", "wheel_ratio"} else "{:.2g}"
-        scale = 100 if "%" in form else 1
-        some = [form.format(scale * value) for value in (np.median(errors), np.quantile(errors, 0.9), max(errors))]
-        share = f"{100 * np.mean(faulty):.1f} % of {len(faulty)}" if faulty else "-"
-        lines.append([title, f"{100 * np.mean(held):.1f} % of {len(held)}", share, *some])
-    return ["quantity", "interval holds", "with fault", "error, median", "90 %", "largest"], lines
-
-
-def measure(rows: Sequence[Row]) -> dict[str, Figure]:
-    """Recall and precision above the stated size, false alarms, intervals, and errors of track width and ratios."""
-    must = [(_accept(name), row["found"].split()) for row in rows for name in row["must"].split() if name != "alike"]
-    every = [(name, row["found"].split()) for row in rows for name in row["set"].split() if name != "alike"]
-    every_finding = [(name, _list_right(row)) for row in rows for name in row["found"].split()]
-    none = [row for row in rows if not row["set"]]
-    alike = [row for row in rows if row["set"] == "alike"]
-    held = [np.mean([holds(row, name) for row in rows]) for name in QUANTITIES]
-    track = [_error(row, "track_m") for row in rows]
-    ratio = [max(_error(row, "reading_ratio"), _error(row, "wheel_ratio")) for row in rows]
+def _judge_quantity(row: Row, name: str, made: Sequence[str]) -> Row:
+    value, low, high, true = (row[f"{name}{part}"] for part in ("", "_low", "_high", "_true"))
+    holds, (title, faults) = low - 1e-9 <= true <= high + 1e-9, QUANTITIES[name]  # but for rounding errors
+    is_off = bool({*faults} & {*made})
     return {
-        "recall": share_of(f"found, of {len(must)} faults", [a in b for a, b in must]),
-        "recall_all": share_of(
-            f"the same with those too small to be detected, {len(every)}", [a in b for a, b in every]
-        ),
-        "precision": share_of(f"right, of {len(every_finding)} findings", [a in b for a, b in every_finding]),
-        "false_alarms": Figure(
-            f"alarms in {len(none)} without faults", sum(bool(row["found"]) for row in none), "count"
-        ),
-        "false_alarms_alike": Figure(
-            f"alarms but for the scale of turns, in {len(alike)} with both radii alike",
-            sum(bool(set(row["found"].split()) - {"track"}) for row in alike),
-            "count",
-        ),
-        "coverage_least": Figure("intervals hold, least of all quantities", float(min(held)), "%", at_least=True),
-        "coverage_most": Figure("intervals hold, most of all quantities", float(max(held)), "%"),
-        "track_error": median_of("track width, median error", track, "%"),
-        "ratio_error": median_of("ratios of the wheels, median error", ratio, "%"),
+        **{"kind": "quantity", "quantity": title, "value": value, "low": low, "high": high, "true": true},
+        **{"interval_holds": holds, "held": "interval holds" if holds else "does not", "with_fault": is_off},
+        "holds_with_fault": holds if is_off else None,
+        "error": abs(value - true) / (true if name in RELATIVE else 1.0),
     }
 
 
-def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
-    """Draw found over true for each quantity; intervals that do not hold are red."""
-    picture = Picture(figsize=(12, 6), layout="constrained")
-    for number, (name, title) in enumerate(QUANTITIES.items()):
-        axes = picture.add_subplot(2, 4, number + 1)
-        true = [row[f"{name}_true"] for row in rows]
-        low, high = min(true), max(true)
-        axes.plot([low, high], [low, high], color="#999999", linewidth=0.8)
-        for held, colour in ((True, HELD), (False, MISSED)):
-            some = [row for row in rows if holds(row, name) == held]
-            x, y = [row[f"{name}_true"] for row in some], [row[name] for row in some]
-            bars = [[row[name] - row[f"{name}_low"] for row in some], [row[f"{name}_high"] - row[name] for row in some]]
-            if some:
-                label = "interval holds" if held else "does not"
-                axes.errorbar(x, y, bars, fmt="o", color=colour, markersize=3, linewidth=0.8, alpha=0.7, label=label)
-        axes.set(title=title + UNITS.get(name, ""), xlabel="set", ylabel="found")
-        axes.grid(alpha=0.25)
-        if number == 0:
-            axes.legend(frameon=False, fontsize=8)
-    return picture
-
-
-def holds(row: Row, name: str) -> bool:
-    """Whether an interval contains the truth, but for rounding errors."""
-    return row[f"{name}_low"] - 1e-9 <= row[f"{name}_true"] <= row[f"{name}_high"] + 1e-9
-
-
-def _error(row: Row, name: str) -> float:
-    relative = name in {"track_m", "reading_ratio", "wheel_ratio"}
-    return abs(row[name] - row[f"{name}_true"]) / (row[f"{name}_true"] if relative else 1.0)
-
-
-def _is_off(row: Row, name: str) -> bool:
-    kinds = {"track_m": "track alike radius wheel", "reading_ratio": "radius", "wheel_ratio": "wheel"}
-    kinds |= {"step_noise": "step_noise", "slip_per_m": "slip", "dropout": "dropout", "stuck_fraction": "stuck"}
-    return bool(set(kinds[name].split()) & set(row["set"].split()))
-
-
-def _accept(name: str) -> str:
-    return "track" if name == "alike" else name
-
-
-def _list_right(row: Row) -> list[str]:
-    return [_accept(name) for name in row["set"].split()]
-
-
-def _describe_pair(row: Row) -> str:
-    missed = set(row["must"].split()) - set(row["found"].split())
-    wrong = set(row["found"].split()) - set(_list_right(row))
-    return (
-        ", ".join([*(f"{name} missed" for name in sorted(missed)), *(f"{name} wrong" for name in sorted(wrong))]) or "-"
+def _list_targets() -> list[Target]:
+    none, alike = {"kind": "recording", "faults": 0}, {"kind": "recording", "set": ALIKE}
+    must, made, finding, quantity = ({"kind": kind} for kind in ("must", "set", "finding", "quantity"))
+    small, scale = (
+        "the same with those too small to be detected, {count}",
+        "alarms but for the scale of turns, in {count}",
     )
+    least, most = "intervals hold, least of all quantities", "intervals hold, most of all quantities"
+    track, ratio = "track width, median error", "ratios of the wheels, median error"
+    return [
+        Target("recall", "found, of {count} faults", "right:share", must, at_least=True),
+        Target("recall_all", small, "right:share", made, at_least=True),
+        Target("precision", "right, of {count} findings", "right:share", finding, at_least=True),
+        Target("false_alarms", "alarms in {count} without faults", "alarm:count", none),
+        Target("false_alarms_alike", f"{scale} with both radii alike", "alarm:count", alike),
+        Target("coverage_least", least, "interval_holds:mean", quantity, each="quantity", at_least=True),
+        Target("coverage_most", most, "interval_holds:mean", quantity, each="quantity"),
+        Target("track_error", track, "error:median", {"quantity": QUANTITIES["track_m"][0]}, unit="%"),
+        Target("ratio_error", ratio, "ratio_error:median", {"kind": "recording"}, unit="%"),
+    ]
+
+
+_ALONE = Table(
+    "set",
+    f"runs {' '.join(FAULTS)} none too_small",
+    {"kind": "recording", "faults": (0, 1)},
+    title="What was found",
+)
+_PAIRS = Table(
+    "set found missed_or_wrong",
+    "runs",
+    {"kind": "recording", "faults": lambda count: count > 1},
+    title="Two faults at a time",
+)
+_INTERVALS = Table(
+    "quantity",
+    "runs interval_holds:mean with_fault holds_with_fault:mean error:median error:q90 error:max",
+    {"kind": "quantity"},
+    title="Intervals and errors",
+)
+_FOUND = Scatter(
+    (("true", "value", ""),),
+    "held",
+    ("set", "found"),
+    "quantity",
+    ("low", "high"),
+    equal=True,
+    factor=1.0,
+    where={"kind": "quantity"},
+)
+REPORTS = {
+    "diagnose": StudyReport(
+        (_ALONE, _PAIRS, _INTERVALS),
+        NOTE,
+        judge,
+        targets=_list_targets(),
+        pictures={"diagnose": _FOUND},
+        draw_runs=draw_runs,
+        gather=gather_diagnoses,
+        fixes=("drive.samples",),
+    ),
+}

@@ -1,7 +1,7 @@
-"""The report of what a method knows of itself: what is refused of each fault, what is named, what the radii hold.
+"""The drives of the report "knowing": those of runs, those that are derived from them, and what is said of each.
 
-Its drives are a run's own, and those derived from it: images of the drive in use are spoilt, a drive in another room
-takes its place, and the method is trained without a part of the map. A table keeps them as JSON.
+Images of the drive in use are spoilt, a drive in another room takes its place, and the method is trained without a part
+of the map.
 """
 
 import json
@@ -9,11 +9,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure as Picture
+from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from deepgps.config.methods import METHODS, folder_of, title_of
@@ -23,10 +23,9 @@ from deepgps.methods.fit import fit_method
 from deepgps.methods.train import training_seed
 from deepgps.positioner.stored_positioner import load_positioner
 from deepgps.reports.run_report import read_metrics
-from deepgps.reports.table import tabulate
-from deepgps.reports.targets import Figure, share_of, write
 from deepgps.runs.run_folder import open_run
-from deepgps.studies.reports.changes import group_changes
+from deepgps.studies.reports.changes import DRIVES
+from deepgps.studies.reports.render import pick
 from deepgps.studies.table import LEVELS, Row, split_by
 from deepgps.tracking.causes import TITLES, Causes, make_monitor
 from sim.errors import InputError
@@ -40,23 +39,12 @@ EXPECTED = {
     "camera": ("deployment.camera_mount.roll_deg",),
 }
 """The cause that should be named, and the settings that bring it about."""
-COLUMN, LARGE_M = "drives", 0.1
+LARGE_M = 0.1
 SEEN, FEWEST = 0.7, 10
 """Share of the map that is learned for the drive that goes beyond it; with fewer segments it is left out."""
 Spoil = Callable[[np.ndarray], np.ndarray]
 THROUGH = 0.04
 """Share of the light that a covered lens lets through from where it comes; the rest is scattered evenly."""
-VALUES, ROOM = "learn.features.values", "room.kind"
-RADII = {"grid_68": "68 %, grid", "grid_95": "95 %, grid", "use_68": "68 %, use", "use_95": "95 %, use"}
-LARGE = {"large_refused": "errors > 10 cm refused"}
-NOTE = (
-    "All of the drive in use. Refused: share of its images; then the share of the images with each cause, also of "
-    "accepted ones where the light has changed or images are frozen. Named: the causes of the drive, that of most "
-    "images first; a lean is one of all images. Radii: share of the accepted images whose true position is within. "
-    "Black and white images, a covered lens, frozen images and the drive in another room are derived from the run "
-    "without a change; for 'a part not driven' its method is trained again without the segments that enter the last "
-    "30 % of its map."
-)
 
 
 def cover(images: np.ndarray) -> np.ndarray:
@@ -74,43 +62,6 @@ SPOILT: Mapping[str, Spoil] = {
 """What happens to images (N, rings, sectors, 3), by the cause that should be named."""
 
 
-class JudgedDrive(NamedTuple):
-    """What is said of one drive in use.
-
-    Attributes:
-        fault: What is wrong with it, in words.
-        expected: The cause that should be named; empty: none.
-        accepted: Share of its images that are accepted.
-        causes: What ``Causes.summarise`` returns.
-        figures: Coverage of the radii and refusal of large errors, by name; empty where they are not measured.
-    """
-
-    fault: str
-    expected: str
-    accepted: float
-    causes: Mapping[str, Any]
-    figures: Mapping[str, float | None]
-
-    @property
-    def shares(self) -> dict[str, float]:
-        """Share of the images with each cause; a lean is one of all images."""
-        return {**self.causes["shares"], **({"camera": 1.0} if "camera" in self.causes["named"] else {})}
-
-    @property
-    def right(self) -> bool:
-        """Whether the drive's first cause is the expected one."""
-        named = self.causes["named"]
-        return named[:1] == [self.expected] if self.expected else not named
-
-    @property
-    def right_images(self) -> float | None:
-        """Share of the images with a cause that have the expected one; None: no image has a cause."""
-        if self.expected == "camera":
-            return self.shares.get("camera", 0.0)
-        shares = self.causes["shares"]
-        return shares.get(self.expected, 0.0) / sum(shares.values()) if shares else None
-
-
 def add_drives(run: Path, row: Row) -> Row:
     """The drives in use of a run as JSON in one column: its own, and those derived from it if nothing has changed."""
     use = read_metrics(run)["methods"][row["method"]].get("in_use", {})
@@ -120,9 +71,24 @@ def add_drives(run: Path, row: Row) -> Row:
             f"{title_of(row['method'])} does not"
         )
     expected = find_expected(row)
-    own = JudgedDrive("", expected, use["accepted"], use["causes"], measure_use(run, row))
+    own = make_drive("", expected, use["accepted"], use["causes"], measure_use(run, row))
     derived = derive_drives(run, row["method"]) if not expected else ()
-    return {COLUMN: json.dumps([drive._asdict() for drive in (own, *derived)])}
+    return {DRIVES: json.dumps([own, *derived])}
+
+
+def make_drive(
+    fault: str, expected: str, accepted: float, causes: Mapping[str, Any], figures: Mapping[str, float | None]
+) -> dict[str, Any]:
+    """What is said of one drive in use, as the table keeps it.
+
+    Args:
+        fault: What is wrong with it, in words; empty: what the run's settings change.
+        expected: The cause that should be named; empty: none.
+        accepted: Share of its images that are accepted.
+        causes: What ``Causes.summarise`` returns.
+        figures: Coverage of the radii and refusal of large errors, by name; empty where they are not measured.
+    """
+    return {"fault": fault, "expected": expected, "accepted": accepted, "causes": causes, "figures": figures}
 
 
 def find_expected(row: Row) -> str:
@@ -150,7 +116,7 @@ def measure_use(run: Path, row: Row) -> dict[str, float | None]:
     }
 
 
-def derive_drives(run: Path, method: str) -> Iterator[JudgedDrive]:
+def derive_drives(run: Path, method: str) -> Iterator[dict[str, Any]]:
     """Drives that are made from a run's own, or from those of other rooms, and what is said of them."""
     recording = open_recording(run / "recording")
     drive, monitor = open_drive_in_use(recording), make_monitor(load_positioner(folder_of(run, method)), recording)
@@ -182,18 +148,8 @@ def find_other_rooms(run: Path, recording: Recording) -> Iterator[Recording]:
             return
 
 
-def describe(fault: str, expected: str, causes: Causes) -> JudgedDrive:
-    return JudgedDrive(fault, expected, float(causes.accepted.mean()), causes.summarise(), {})
-
-
-def read_drives(rows: Sequence[Row], varied: Sequence[str]) -> list[JudgedDrive]:
-    """All drives of some rows, each with its fault in words."""
-    return [
-        drive if drive.fault else drive._replace(fault=change)
-        for change, same in group_changes(rows, varied).items()
-        for row in same
-        for drive in (JudgedDrive(**one) for one in json.loads(row[COLUMN]))
-    ]
+def describe(fault: str, expected: str, causes: Causes) -> dict[str, Any]:
+    return make_drive(fault, expected, float(causes.accepted.mean()), causes.summarise(), {})
 
 
 def spoil_drive(drive: Recording, spoil: Spoil) -> Recording:
@@ -244,86 +200,30 @@ def _keep_turns(turns: Turns, rows: np.ndarray, reading: np.ndarray, observed: n
     return from_array(np.array(list(jump.values()), np.int64).reshape(-1, 4))
 
 
-def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
-    """A table for each method, kind of features and room: what is refused and named of each fault."""
-    blocks = []
-    for title, some in split_trainings(rows).items():
-        drives = read_drives(some, varied)
-        causes = [name for name in TITLES if any(name in drive.shares for drive in drives)]
-        headings = ["fault", "refused", *(TITLES[name] for name in causes), "named", *RADII.values(), *LARGE.values()]
-        blocks += [f"## {title}", tabulate(headings, [_write(drive, causes) for drive in drives])]
-    return [*blocks, NOTE]
-
-
-def _write(drive: JudgedDrive, causes: Sequence[str]) -> list[str]:
-    shares = [write(drive.shares.get(name, 0.0), "%") for name in causes]
-    named = ", ".join(TITLES[name] for name in drive.causes["named"]) or "-"
-    figures = [write(drive.figures.get(name), "%") for name in (*RADII, *LARGE)]
-    return [drive.fault, write(1.0 - drive.accepted, "%"), *shares, named, *figures]
-
-
-def measure(rows: Sequence[Row]) -> dict[str, Figure]:
-    """How often the cause is named and what is refused, with features of ranks."""
-    some = [row for row in rows if row.get(VALUES, "ranks") == "ranks"]
-    drives = read_drives(some, [name for name in rows[0] if name.startswith("deployment.")])
-    faulty, clean = [one for one in drives if one.expected], [one for one in drives if not one.expected]
-    images = [one.right_images for one in faulty if one.right_images is not None]
-    moved = [one.figures["large_refused"] for one in faulty if one.expected == "furniture"]
-    title = f"drives with a fault whose first cause is right, of {len(faulty)}"
-    found = {
-        "drives_right": share_of(title, [bool(one.right) for one in faulty]),
-        "images_right": Figure(
-            "images with a cause that have the right one, means over drives", _mean(images), "%", True
-        ),
-        "clean_refused": Figure("refused without a change", _mean([1.0 - one.accepted for one in clean]), "%"),
-        "moved_refused": Figure("errors > 10 cm refused, furniture moved", _mean(moved), "%", at_least=True),
-    }
-    for cause in ("other_room", "covered"):
-        refused = [1.0 - one.accepted for one in faulty if one.expected == cause]
-        found[f"{cause}_refused"] = Figure(f"refused, {TITLES[cause]}", _mean(refused), "%", at_least=True)
-    return {name: figure for name, figure in found.items() if figure.value is not None}
-
-
-def _mean(values: Sequence[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
-    return float(np.mean(known)) if known else None
-
-
-def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
+def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Figure:
     """Draw the share of the images of each fault with each cause, as a matrix for each training with all faults."""
-    every = {title: read_drives(some, varied) for title, some in split_trainings(rows).items()}
+    every = split_by(pick(rows, {"kind": "cause"}), "training")
     most = max(map(len, every.values()))
-    shown = {title: drives for title, drives in every.items() if len(drives) == most}
-    picture = Picture(figsize=(1.8 + 3.7 * len(shown), 2.2 + 0.27 * most), layout="constrained")
-    panels = picture.subplots(1, len(shown), sharey=True, squeeze=False)[0]
-    for axes, (title, drives) in zip(panels, shown.items(), strict=True):
-        _draw_matrix(axes, drives)
+    shown = {title: causes for title, causes in every.items() if len(causes) == most}
+    figure = Figure(figsize=(1.8 + 3.7 * len(shown), 2.2 + 0.27 * most / len(TITLES)), layout="constrained")
+    panels = figure.subplots(1, len(shown), sharey=True, squeeze=False)[0]
+    for axes, (title, causes) in zip(panels, shown.items(), strict=True):
+        _draw_matrix(axes, causes)
         axes.set_title(title, fontsize=9)
-    picture.supxlabel("images with each cause [%]; framed: the cause that should be named", fontsize=8)
-    return picture
+    figure.supxlabel("images with each cause [%]; framed: the cause that should be named", fontsize=8)
+    return figure
 
 
-def _draw_matrix(axes: Axes, drives: Sequence[JudgedDrive]) -> None:
-    names = list(TITLES)
-    share = np.array([[drive.shares.get(name, 0.0) for name in names] for drive in drives])
+def _draw_matrix(axes: Axes, causes: Sequence[Row]) -> None:
+    size = (-1, len(TITLES))
+    share = np.reshape([row["images"] for row in causes], size)
     axes.imshow(share, cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
     for row, column in np.argwhere(share >= 0.005).tolist():
         colour = "white" if share[row, column] > 0.5 else "black"
         axes.text(column, row, f"{100 * share[row, column]:.0f}", ha="center", va="center", size=7, color=colour)
-    for row, drive in enumerate(drives):
-        if drive.expected:
-            corner = (names.index(drive.expected) - 0.5, row - 0.5)
-            axes.add_patch(Rectangle(corner, 1.0, 1.0, fill=False, edgecolor="#d9822b", lw=1.4))
-    axes.set_xticks(range(len(names)), [TITLES[name] for name in names], rotation=40, ha="right", fontsize=8)
-    axes.set_yticks(range(len(drives)), [drive.fault for drive in drives], fontsize=8)
+    for row, column in np.argwhere(np.reshape([row["right"] for row in causes], size)).tolist():
+        corner = (column - 0.5, row - 0.5)
+        axes.add_patch(Rectangle(corner, 1.0, 1.0, fill=False, edgecolor="#d9822b", lw=1.4))
+    axes.set_xticks(range(len(TITLES)), list(TITLES.values()), rotation=40, ha="right", fontsize=8)
+    axes.set_yticks(range(len(share)), [row["fault"] for row in causes[:: len(TITLES)]], fontsize=8)
     axes.tick_params(length=0)
-
-
-def split_trainings(rows: Sequence[Row]) -> dict[str, list[Row]]:
-    """Rows by method, features and room."""
-    return {
-        f"{title_of(method)}, features of {values}, {room}": list(same)
-        for method, ours in split_by(rows, "method").items()
-        for values, some in split_by([{VALUES: "ranks", ROOM: "one room", **row} for row in ours], VALUES).items()
-        for room, same in split_by(some, ROOM).items()
-    }

@@ -1,31 +1,22 @@
-"""The reports "seeds", "maps" and "concave": folded maps, initial maps, and rooms without straight drives."""
+"""The reports "seeds", "maps", "concave", "mds": folded maps, initial maps, rooms without straight drives, scaling."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
-from matplotlib.colors import Normalize
-from matplotlib.figure import Figure as Picture
 
-from deepgps.config.methods import colour_of, title_of
-from deepgps.evaluation.error_field import find_rms, read_fields
-from deepgps.evaluation.measures import measure_visible
-from deepgps.reports.plots import add_scale, count_by_decades, print_error_field
-from deepgps.reports.table import tabulate
-from deepgps.reports.targets import Figure, median_of, share_of, write
-from deepgps.studies.reports.columns import FLIPPED, IN_CM, Column, Line, form, is_folded, tabulate_lines
-from deepgps.studies.reports.compare import report as report_comparison
-from deepgps.studies.reports.rooms import name_room
-from deepgps.studies.table import Row, split_by, split_by_label
-from sim.recording.format import open_truth
+from deepgps.studies.reports.compare import COMPARE
+from deepgps.studies.reports.compare import NOTE as COMPARE_NOTE
+from deepgps.studies.reports.record import CHOICES, ERRORS, VARIED, Curves, Scatter, StudyReport, Table, Target
+from deepgps.studies.reports.render import FLIPPED
+from deepgps.studies.table import Row, choices, describe, is_seed, split_by
 
 MIRRORED_M2 = 0.1
 """A map is mirrored in part if the largest connected patch that it turns over has more than this area [m^2]."""
 NOISE, SLIP = "encoder.step_noise", "encoder.slip_per_m"
 SEEDS_NOTE = (
-    f"A map is folded if it flips more than {write(FLIPPED, '%')} of the test grid's neighbourhoods; "
-    "said to be: how many maps the detector reports as unfolded. Errors are medians over the maps."
+    f"A map is folded if it flips more than {100 * FLIPPED:.0f} % of the test grid's neighbourhoods; said: how many "
+    "maps the detector reports as folded. Errors are medians over the maps."
 )
 MAPS_NOTE = (
     "RMS errors of the initial map at the training images, after a rigid alignment, and the error that the map's own "
@@ -43,136 +34,53 @@ CONCAVE_NOTE = (
     "of all rooms are pooled; errors are for the worst heading. PoseNet learns from true positions, so errors that "
     "both methods make are not due to a lack of straight paths."
 )
-
-
-def is_mirrored(row: Row) -> bool:
-    """Whether a connected patch of the map larger than ``MIRRORED_M2`` is turned over."""
-    return row["map_flipped_m2"] > MIRRORED_M2
-
-
-def _write_flipped(take):
-    def write_share(line: Line) -> str:
-        flipped = _list_flipped(line.rows)
-        return write(float(take(flipped)) if flipped else None, "%")
-
-    return write_share
-
-
-def _count_unfolded(line: Line) -> str:
-    flipped = _list_flipped(line.rows)
-    return str(sum(share <= FLIPPED for share in flipped)) if flipped else "-"
-
-
-MAPS = Column("maps", lambda line: str(len(line.rows)))
-OF_SEEDS = (
-    MAPS,
-    Column("unfolded", _count_unfolded),
-    Column("said to be", lambda line: str(sum(not row["fold_found"] for row in line.rows))),
-    Column("flipped, median", _write_flipped(np.median)),
-    Column("flipped, most", _write_flipped(np.max)),
-    *IN_CM,
-)
-OF_ENCODERS = (
-    MAPS,
-    Column("RMS, median [cm]", form("map_rms_m", ".2f", 100)),
-    Column("RMS, worst [cm]", lambda line: form("map_rms_m", ".2f", 100)(line._replace(take=np.max))),
-    Column("expected [cm]", form("map_expected_rms_m", ".2f", 100)),
-    Column("NEES / 2", form("map_nees", ".2f")),
-    Column("mirrored", lambda line: f"{sum(map(is_mirrored, line.rows))} of {len(line.rows)}"),
-)
-OF_MAPS = (
-    Column("RMS [cm]", form("map_rms_m", ".2f", 100)),
-    Column("expected [cm]", form("map_expected_rms_m", ".2f", 100)),
-    Column("NEES / 2", form("map_nees", ".2f")),
-    Column("mirrored [m2]", form("map_flipped_m2", ".2f")),
+MDS_NOTE = (
+    "At one heading, aligned on the grid itself. Own: the network's positions; MDS: the map by classical scaling of "
+    "its distances; apart: RMS distance between the two. Planar: share of the two largest eigenvalues in the sum of "
+    "the absolute values of all. Joined: median error of the distance between positions that the robot can join by a "
+    "straight drive; not joined: the same for positions that it cannot. Folded: maps that flip more than a tenth of "
+    "the neighbourhoods."
 )
 
 
-def report_seeds(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
-    """A table with a line for each kind of start, and a note on how to read it."""
-    starts = _group_starts(rows, varied).items()
-    return [
-        tabulate_lines(["start"], [Line((name,), group, take=np.median) for name, group in starts], OF_SEEDS),
-        SEEDS_NOTE,
-    ]
+def name_starts(rows: Sequence[Row], varied: Sequence[str]) -> list[Row]:
+    """Rows of methods whose maps can fold, with how they start."""
+    names = choices(rows, [name for name in varied if not is_seed(name)])
+    ours = [row for row in rows if row["fold_found"] is not None]
+    unfolded = {None: None, True: False, False: True}
+    return [{**row, "start": describe(row, names), "unfolded": unfolded[row["folded"]]} for row in ours]
 
 
-def measure_seeds(rows: Sequence[Row]) -> dict[str, Figure]:
-    """Share of unfolded maps, except random starts, which are meant to fold; and the detector's rates over all maps."""
-    rows = [row for row in rows if row["fold_found"] is not None and row["flipped"] is not None]
-    own = [not is_folded(row) for row in rows if row.get("learn.start") != "random"]
-    folded, right = ([row["fold_found"] for row in rows if is_folded(row) == wrong] for wrong in (True, False))
-    return {
-        "unfolded": share_of(f"unfolded, of {len(own)} maps without random starts", own),
-        "found": share_of(f"folds found, of {len(folded)}", folded),
-        "false_alarms": share_of(f"false alarms, of {len(right)} unfolded maps", right, at_least=False),
-    }
+def name_encoders(rows: Sequence[Row], varied: Sequence[str]) -> list[Row]:
+    """Rows with an initial map, with the encoders' errors in words, and whether a part of the map is turned over."""
+
+    def name(row: Row) -> str:
+        faults = {"w": row.get(NOISE), "slip": row.get(SLIP)}
+        return ", ".join(f"{word} {value:g}" for word, value in faults.items() if value) or "exact"
+
+    ours = [row for row in rows if row["map_rms_m"] is not None]
+    return [{**row, "encoder": name(row), "mirrored": row["map_flipped_m2"] > MIRRORED_M2} for row in ours]
 
 
-def draw_seeds(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
-    """Draw what the detector measures over the truth, with a point for each map."""
-    picture = Picture(figsize=(9, 4), layout="constrained")
-    signs = {"length_error_fraction": "length errors", "overlap_fraction": "overlap"}
-    for index, (sign, title) in enumerate(signs.items()):
-        axes = picture.add_subplot(1, 2, index + 1)
-        for start, group in _group_starts(rows, varied).items():
-            known = [row for row in group if row["flipped"] is not None]
-            flipped, said = ([100 * row[name] for row in known] for name in ("flipped", sign))
-            axes.plot(flipped, said, "o", alpha=0.6, label=start)
-        axes.axvline(100 * FLIPPED, color="#999999", linestyle=":")
-        axes.set(xlabel="flipped (truth) [%]", ylabel=f"{title} (detector) [%]", xlim=(0, 50))
-        axes.set_ylim(bottom=0)
-        axes.grid(alpha=0.25)
-        if index == 0:
-            axes.legend(frameon=False, fontsize=8)
-    return picture
-
-
-def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
-    """A line for each encoder over all rooms, a note, and a line for each map."""
-    rows = _take_maps(rows)
-    encoders = [Line((name,), group, take=np.median) for name, group in split_by_label(rows, _name_encoder).items()]
-    places = [name for name in varied if name not in (NOISE, SLIP)]
-    maps = [Line((name_room(row, places), str(row["seed"]), _name_encoder(row)), [row]) for row in rows]
-    table = tabulate_lines(["encoder"], encoders, OF_ENCODERS)
-    return [table, MAPS_NOTE, tabulate_lines(["room", "seed", "encoder"], maps, OF_MAPS)]
-
-
-def measure(rows: Sequence[Row]) -> dict[str, Figure]:
-    """How many maps are mirrored in part; and for each encoder the median RMS and NEES / 2."""
-    rows = _take_maps(rows)
-    mirrored = sum(map(is_mirrored, rows))
-    figures = {"mirrored": Figure(f"maps mirrored in part, of {len(rows)}", mirrored, "count")}
-    for name, group in split_by_label(rows, _name_encoder).items():
-        for part, title, unit in (("rms_m", "RMS of the map", "cm"), ("nees", "NEES / 2", "")):
-            values = [row[f"map_{part}"] for row in group]
-            figures[f"{part} {name}"] = median_of(f"{title}, {name}", values, unit)
-    return figures
-
-
-def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
-    """Draw each map's error against the error that it expects of itself, a colour for each encoder."""
-    picture = Picture(figsize=(5.5, 5), layout="constrained")
-    axes = picture.add_subplot()
-    for name, group in split_by_label(_take_maps(rows), _name_encoder).items():
-        errors = 100 * np.array([(row["map_expected_rms_m"], row["map_rms_m"]) for row in group])
-        axes.plot(*errors.T, "o", alpha=0.7, label=name)
-    limits = np.array([axes.get_xlim(), axes.get_ylim()])
-    ends = [max(limits.min(), 0.05), limits.max()]
-    axes.plot(ends, ends, color="0.6", lw=1, zorder=0, label="as expected")
-    axes.set(xscale="log", yscale="log", xlabel="expected RMS error [cm]", ylabel="RMS error [cm]")
-    for axis in (axes.xaxis, axes.yaxis):
-        count_by_decades(axis)
-    axes.grid(alpha=0.25, which="both")
-    axes.legend(frameon=False)
-    return picture
-
-
-def add_reach(run: Path, row: Row) -> Row:
-    """A column for each bin of reach: the errors of all its positions [m]."""
-    field = read_fields(run)[row["method"]]
-    part = np.digitize(measure_visible(open_truth(run / "recording").free_space, field.truth), EDGES[1:-1])
-    return {f"errors_{number}_m": field.error[part == number].astype(np.float32) for number in range(BINS)}
+def pool_by_reach(rows: Sequence[Row], varied: Sequence[str]) -> list[Row]:
+    """Rows, one more for each method and bin of reach, with the errors of all its positions, and one with ratios."""
+    prepared = [{**row, "kind": "run"} for row in rows]
+    for method, group in split_by(rows, "method").items():
+        for part, (low, high) in enumerate(pairwise(EDGES)):
+            if len(errors := pool(group, [part])):
+                figures = {"rms_m": find_rms(errors), "median_m": float(np.median(errors)), "positions": len(errors)}
+                reach = f"{100 * low:.0f}-{100 * high:.0f} %"
+                where = {"kind": "reach", "reach": reach, "axis": 50 * (low + high), "method": method}
+                prepared.append({**where, **figures})
+        little, rest = pool(group, range(LITTLE)), pool(group, range(LITTLE, BINS))
+        shapes = {shape: find_rms(pool(some)) for shape, some in split_by(group, SHAPE).items()}
+        both = {"two_rooms", "rectangle"} <= set(shapes)
+        ratios = {
+            "little": find_rms(little) / find_rms(rest) if len(little) and len(rest) else None,
+            "two_rooms": shapes["two_rooms"] / shapes["rectangle"] if both else None,
+        }
+        prepared.append({"kind": "ratio", "method": method, **ratios})
+    return prepared
 
 
 def pool(rows: Sequence[Row], parts: Sequence[int] = range(BINS)) -> np.ndarray:
@@ -180,91 +88,107 @@ def pool(rows: Sequence[Row], parts: Sequence[int] = range(BINS)) -> np.ndarray:
     return np.concatenate([np.asarray(row[f"errors_{part}_m"], float) for row in rows for part in parts])
 
 
-def report_concave(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
-    """A table with a line for each shape and method, then one with a line for each bin of reach."""
-    groups = split_by(rows, "method")
-    headings = ["reach", "positions"]
-    headings += [f"{title_of(name)}, {title} [cm]" for title in ("RMS", "median") for name in groups]
-    cells = []
-    for part, (low, high) in enumerate(pairwise(EDGES)):
-        errors = [pool(group, [part]) for group in groups.values()]
-        if len(errors[0]):
-            figures = [f"{100 * one:.1f}" for one in (*map(find_rms, errors), *map(np.median, errors))]
-            cells.append([f"{100 * low:.0f}-{100 * high:.0f} %", str(len(errors[0])), *figures])
-    return [*report_comparison(rows, varied), tabulate(headings, cells), CONCAVE_NOTE]
+def find_rms(errors: np.ndarray) -> float:
+    """Root mean square of errors (n,) [m]."""
+    return float(np.sqrt(np.mean(errors**2)))
 
 
-def measure_concave(rows: Sequence[Row]) -> dict[str, Figure]:
-    """How much larger each method's RMS is where little is reached than elsewhere, and in two rooms than in one."""
-    figures = {}
-    for method, group in split_by(rows, "method").items():
-        little, rest = pool(group, range(LITTLE)), pool(group, range(LITTLE, BINS))
-        title = f"{title_of(method)}, RMS where reach is below {write(EDGES[LITTLE], '%')} / elsewhere"
-        ratio = find_rms(little) / find_rms(rest) if len(little) and len(rest) else None
-        figures[f"{method}_little"] = Figure(title, ratio, "")
-        shapes = split_by(group, SHAPE)
-        if {"two_rooms", "rectangle"} <= set(shapes):
-            two, one = (find_rms(pool(shapes[name])) for name in ("two_rooms", "rectangle"))
-            title = f"{title_of(method)}, RMS in two rooms / in a rectangle"
-            figures[f"{method}_two_rooms"] = Figure(title, two / one, "")
-    return figures
+def divide_joined(rows: Sequence[Row], varied: Sequence[str]) -> list[Row]:
+    """Rows with how much larger the errors of distances are where no straight drive joins two positions."""
+    known = [row["joined_m"] and row["unjoined_m"] is not None for row in rows]
+    return [
+        {**row, "not_joined_ratio": row["unjoined_m"] / row["joined_m"] if is_known else None}
+        for row, is_known in zip(rows, known, strict=True)
+    ]
 
 
-def draw_concave(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
-    """Draw RMS (filled) and median (open) by how much of the floor is reached."""
-    middles = [50 * (low + high) for low, high in pairwise(EDGES)]
-    picture = Picture(figsize=(6.4, 3.8), layout="constrained")
-    axes = picture.add_subplot()
-    for method, group in split_by(rows, "method").items():
-        errors = {middle: error for part, middle in enumerate(middles) if len(error := pool(group, [part]))}
-        colour, title = colour_of(method), title_of(method)
-        rms, median = ([100 * take(error) for error in errors.values()] for take in (find_rms, np.median))
-        axes.plot(list(errors), rms, "o-", color=colour, label=f"{title}, RMS")
-        axes.plot(list(errors), median, "o--", color=colour, mfc="none", label=f"{title}, median")
-    axes.set(yscale="log", xlim=(0, 100), ylabel="error of the worst heading [cm]")
-    axes.set_xlabel("share of the floor reached by straight drives [%]")
-    count_by_decades(axes.yaxis)
-    axes.grid(alpha=0.25, which="both")
-    axes.legend(frameon=False, fontsize=8)
-    return picture
+def _list_targets_of_seeds() -> list[Target]:
+    own, words = {"learn.start": lambda start: start != "random"}, "unfolded, of {count} maps without random starts"
+    return [
+        Target("unfolded", words, "unfolded:share", own, at_least=True),
+        Target("found", "folds found, of {count}", "fold_found:share", {"folded": True}, at_least=True),
+        Target("false_alarms", "false alarms, of {count} unfolded maps", "fold_found:share", {"folded": False}),
+    ]
 
 
-def draw_shapes(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
-    """Draw a room of each shape: how much of it each position reaches, and DeepGPS's error there."""
-    shapes = split_by([row for row in rows if row["method"] == "deepgps"], SHAPE)
-    picture = Picture(figsize=(9.6, 2.9 * len(shapes) + 0.2), layout="constrained")
-    panels = picture.subplots(len(shapes), 2, squeeze=False, sharex=True, sharey=True)
-    dots = None
-    for (left, right), (shape, (row, *_)) in zip(panels, shapes.items(), strict=True):
-        run = folder / "runs" / row["run"]
-        field = print_error_field(right, run, "deepgps")
-        right.set_title(f"{shape}: RMS {100 * row['rms_m']:.1f} cm", fontsize=9)
-        visible = measure_visible(open_truth(run / "recording").free_space, field.truth)
-        dots = left.scatter(*field.truth.T, s=6, c=100 * visible, norm=Normalize(0, 100), cmap="viridis", linewidths=0)
-        left.set_title(f"{shape}: reach", fontsize=9)
-        left.set(aspect="equal", ylabel="y [m]")
-    if dots is not None:
-        label = "share of the floor reached [%]"
-        picture.colorbar(dots, ax=list(panels[:, 0]), shrink=0.5, label=label, location="left")
-    add_scale(picture, list(panels[:, 1]))
-    return picture
+def _list_targets_of_mds() -> list[Target]:
+    plane = {"fold_found": (None, False), "outputs": 2}
+    space = {**plane, "outputs": lambda count: count > 2}
+    ratio, maps = "error of distances, not joined / joined", "RMS, MDS of more outputs / own of two"
+    return [
+        Target("apart", "distance of MDS from own, two outputs", "mds_own_m", plane, unit="mm"),
+        Target("not_joined_ratio", ratio, "not_joined_ratio", plane),
+        Target("planar", "planar, more outputs", "planar", space, at_least=True),
+        Target("mds_ratio", maps, "mds_m", space, plane, base_of="own_m"),
+    ]
 
 
-def _list_flipped(rows: Sequence[Row]) -> list[float]:
-    return [row["flipped"] for row in rows if row["flipped"] is not None]
-
-
-def _group_starts(rows: Sequence[Row], varied: Sequence[str]) -> Mapping[str, list[Row]]:
-    names = [name for name in varied if name != "learn.seed"]
-    ours = [row for row in rows if row["fold_found"] is not None]
-    return split_by_label(ours, lambda row: ", ".join(f"{name} {row[name]}" for name in names) or "all")
-
-
-def _take_maps(rows: Sequence[Row]) -> list[Row]:
-    return [row for row in rows if row["map_rms_m"] is not None]
-
-
-def _name_encoder(row: Row) -> str:
-    noise, slip = row.get(NOISE) or 0.0, row.get(SLIP) or 0.0
-    faults = [f"{word} {value:g}" for word, value in (("w", noise), ("slip", slip)) if value]
-    return ", ".join(faults) or "exact"
+_ENCODERS = (
+    Target("mirrored", "maps mirrored in part, of {count}", "mirrored:count"),
+    Target("rms_m {encoder}", "RMS of the map, {encoder}", "map_rms_m:median", per="encoder"),
+    Target("nees {encoder}", "NEES / 2, {encoder}", "map_nees:median", per="encoder"),
+)
+_COST, _SMALL = "{{label}}, RMS {} / {}", f"where reach is below {100 * EDGES[LITTLE]:.1f} %"
+_REACH = (
+    Target("{method}_little", _COST.format(_SMALL, "elsewhere"), "little", per="method"),
+    Target("{method}_two_rooms", _COST.format("in two rooms", "in a rectangle"), "two_rooms", per="method"),
+)
+_DETECTED = Scatter(
+    (("flipped", "length_error_fraction", "length errors"), ("flipped", "overlap_fraction", "overlap")),
+    "start",
+    ("flipped (truth) [%]", "detector [%]"),
+    limit=FLIPPED,
+)
+_EXPECTED = Scatter(
+    (("map_expected_rms_m", "map_rms_m", ""),),
+    "encoder",
+    ("expected RMS error [cm]", "RMS error [cm]"),
+    equal=True,
+    log=True,
+)
+_BY_REACH = Curves(
+    "kind",
+    "axis",
+    "share of the floor reached by straight drives [%]",
+    also={"median_m": "median"},
+    where={"kind": "reach"},
+)
+_MAP = "map_expected_rms_m map_nees"
+REPORTS = {
+    "seeds": StudyReport(
+        (Table(f"{CHOICES} method", f"runs unfolded folded fold_found flipped flipped:max {ERRORS}", take="median"),),
+        SEEDS_NOTE,
+        name_starts,
+        targets=_list_targets_of_seeds(),
+        pictures={"seeds": _DETECTED},
+    ),
+    "maps": StudyReport(
+        (
+            Table("encoder", f"runs map_rms_m map_rms_m:max {_MAP} mirrored", take="median"),
+            Table(VARIED, f"map_rms_m {_MAP} map_flipped_m2"),
+        ),
+        MAPS_NOTE,
+        name_encoders,
+        targets=_ENCODERS,
+        pictures={"maps": _EXPECTED},
+    ),
+    "concave": StudyReport(
+        (COMPARE._replace(where={"kind": "run"}), Table("reach method", "positions rms_m median_m", {"kind": "reach"})),
+        f"{COMPARE_NOTE} {CONCAVE_NOTE}",
+        pool_by_reach,
+        targets=_REACH,
+        pictures={"concave": _BY_REACH, "rooms": "from_runs:draw_shapes"},
+        columns="from_runs:add_reach",
+        varies=(SHAPE,),
+    ),
+    "mds": StudyReport(
+        # in a convex room no two positions are not joined
+        (Table(f"{CHOICES} method", "runs outputs planar own_m mds_m mds_own_m joined_m unjoined_m folded"),),
+        MDS_NOTE,
+        divide_joined,
+        targets=_list_targets_of_mds(),
+        pictures={"mds": "mds:draw"},
+        columns="mds:add_distances",
+        networks=True,
+    ),
+}

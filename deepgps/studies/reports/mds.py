@@ -22,9 +22,7 @@ from deepgps.config.methods import folder_of
 from deepgps.initial_map.distances.isomap import find_axes
 from deepgps.positioner.positioner import NetworkPositioner
 from deepgps.positioner.stored_positioner import load_positioner
-from deepgps.reports.targets import Figure, mean_of
-from deepgps.studies.reports.columns import RUNS, Column, Line, count_folded, tabulate_lines, write_known
-from deepgps.studies.table import Row, choices, describe_group, group_rows, mean
+from deepgps.studies.table import Row, choices, describe, is_seed, split_by_label
 from sim.alignment import fit_alignment
 from sim.errors import InputError
 from sim.geometry import FreeSpace
@@ -37,30 +35,6 @@ PAIRED = 250
 LARGEST = 10
 """Number of eigenvalues that are kept."""
 COLOURS = ("#0b62d6", "#1a936f", "#e07b00", "#c2255c", "#7a4fbf", "#4b5563")
-COLUMNS = (
-    RUNS,
-    Column("outputs", lambda line: f"{line.rows[0]['outputs']}"),
-    Column("planar", write_known("planar", ".2f", 100, " %")),
-    # in a convex room no two positions are not joined
-    *(
-        Column(heading, write_known(name, ".3g", 100))
-        for name, heading in {
-            "own_m": "own RMS [cm]",
-            "mds_m": "MDS RMS [cm]",
-            "mds_own_m": "apart [cm]",
-            "joined_m": "joined [cm]",
-            "unjoined_m": "not joined [cm]",
-        }.items()
-    ),
-    Column("folded", count_folded),
-)
-NOTE = (
-    "At one heading, aligned on the grid itself. Own: the network's positions; MDS: the map by classical scaling of "
-    "its distances; apart: RMS distance between the two. Planar: share of the two largest eigenvalues in the sum of "
-    "the absolute values of all. Joined: median error of the distance between positions that the robot can join by a "
-    "straight drive; not joined: the same for positions that it cannot. Folded: maps that flip more than a tenth of "
-    "the neighbourhoods."
-)
 
 
 @dataclass(frozen=True)
@@ -88,33 +62,6 @@ class Distances:
     true: np.ndarray
     predicted: np.ndarray
     joined: np.ndarray
-
-
-def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
-    """A table with a line for each way of learning, and a note on how to read it."""
-    names = choices(rows, varied)
-    lines = [Line((describe_group(key, names),), group) for key, group in group_rows(rows, names).items()]
-    return [tabulate_lines(["learned"], lines, COLUMNS), NOTE]
-
-
-def measure(rows: Sequence[Row]) -> dict[str, Figure]:
-    """Figures of maps and distances over runs that the detector calls unfolded, with two outputs and with more."""
-    whole = [row for row in rows if not row["fold_found"]]
-    plane, space = ([row for row in whole if (row["outputs"] > 2) == more] for more in (False, True))
-    figures = {}
-    if plane:
-        same = [row["mds_own_m"] for row in plane]
-        figures["apart"] = mean_of("distance of MDS from own, two outputs", same, "mm")
-        both = [row for row in plane if row["joined_m"] and row["unjoined_m"] is not None]
-        if both:
-            ratios = [row["unjoined_m"] / row["joined_m"] for row in both]
-            figures["not_joined_ratio"] = mean_of("error of distances, not joined / joined", ratios, "")
-    if space:
-        figures["planar"] = mean_of("planar, more outputs", [row["planar"] for row in space], "%", at_least=True)
-    if plane and space:
-        ratio = mean(space, "mds_m") / mean(plane, "own_m")
-        figures["mds_ratio"] = Figure("RMS, MDS of more outputs / own of two", ratio, "")
-    return figures
 
 
 def add_distances(run: Path, row: Row) -> Row:
@@ -183,12 +130,9 @@ def are_joined(space: FreeSpace, first: np.ndarray, second: np.ndarray) -> np.nd
 
 def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
     """Draw eigenvalues, errors of distances, and maps, of the first run of each way of learning."""
-    names = choices(rows, varied)
-    groups = group_rows(rows, names)
-    found = {
-        describe_group(key, names): find_distances(folder / "runs" / group[0]["run"], key[-1])
-        for key, group in groups.items()
-    }
+    names = [*choices(rows, [name for name in varied if not is_seed(name)]), "method"]
+    groups = split_by_label(rows, lambda row: describe(row, names))
+    found = {title: find_distances(folder / "runs" / row["run"], row["method"]) for title, (row, *_) in groups.items()}
     picture = Picture(figsize=(max(9.6, 3.4 * len(found)), 7.2), layout="constrained")
     upper, lower = picture.subfigures(2, 1, squeeze=False, height_ratios=(1.15, 1))[:, 0]
     spectrum, errors = upper.subplots(1, 2)

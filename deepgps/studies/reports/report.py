@@ -7,17 +7,17 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any
 
-from matplotlib.figure import Figure as Picture
-
 from deepgps.learning.trainer import use_threads
 from deepgps.reports.plots import to_png
 from deepgps.reports.run_report import read_metrics
 from deepgps.reports.table import tabulate
-from deepgps.reports.targets import Figure, tabulate_targets
+from deepgps.reports.targets import tabulate_targets
 from deepgps.runs.provenance import describe_origin
 from deepgps.runs.run_folder import METRICS
 from deepgps.studies.catalog import PICTURES, REPORTS
 from deepgps.studies.plan import Plan
+from deepgps.studies.reports.pictures import draw
+from deepgps.studies.reports.render import measure, prepare, write_blocks
 from deepgps.studies.study import Study
 from deepgps.studies.table import Row, gather, write_table
 from sim.errors import InputError
@@ -33,12 +33,6 @@ def load(name: str) -> Callable[..., Any]:
     return resolve_name(f"deepgps.studies.reports.{name}")
 
 
-def measure_targets(report: str, rows: Sequence[Row]) -> dict[str, Figure]:
-    """The figures of a report for which targets can be set."""
-    measure = REPORTS[report].measure
-    return load(measure)(rows) if measure else {}
-
-
 def report_study(study: Study, plans: Sequence[Plan], failures: Mapping[str, str], folder: Path) -> str:
     """Write ``table.parquet``, ``table.md`` and ``figures`` of a study; return the report in Markdown.
 
@@ -49,7 +43,7 @@ def report_study(study: Study, plans: Sequence[Plan], failures: Mapping[str, str
         folder: The study's folder.
     """
     report = REPORTS[study.report]
-    rows = (load(report.gather) if report.gather else gather)(plans, failures, folder)
+    rows = (report.gather or gather)(plans, failures, folder)
     write_table(folder / "table.parquet", rows)
     if report.columns:
         with use_threads(1):
@@ -57,16 +51,13 @@ def report_study(study: Study, plans: Sequence[Plan], failures: Mapping[str, str
         write_table(folder / "table.parquet", rows)
     text = f"{write_report(study, plans, failures, rows)}\n{describe_origin(_read_environments(plans, folder))}\n"
     write_text(folder / "table.md", text)
-    measured = [row for row in rows if row["failure"] is None]
-    for name, draw in list_pictures(study, measured, folder).items() if measured else ():
-        write_bytes(folder / "figures" / f"{name}.png", to_png(draw()))
+    if measured := [row for row in rows if row["failure"] is None]:
+        varied = varied_names(study)
+        prepared = prepare(report, measured, varied)
+        for name, picture in report.pictures.items():
+            draw_one = load(picture) if isinstance(picture, str) else partial(draw, picture)
+            write_bytes(folder / "figures" / f"{name}.png", to_png(draw_one(prepared, varied, folder)))
     return text
-
-
-def list_pictures(study: Study, rows: Sequence[Row], folder: Path) -> dict[str, Callable[[], Picture]]:
-    """Functions that draw the report's pictures of these measured rows, by the names of their files."""
-    pictures = REPORTS[study.report].pictures
-    return {name: partial(load(draw), rows, varied_names(study), folder) for name, draw in pictures.items()}
 
 
 def add_columns(rows: Sequence[Row], add: Callable[[Path, Row], Row], folder: Path) -> list[Row]:
@@ -133,8 +124,10 @@ def write_report(study: Study, plans: Sequence[Plan], failures: Mapping[str, str
         blocks.append("A small version of the study, which shows the way only: its errors have no meaning.")
     measured = [row for row in rows if row["failure"] is None]
     if measured:
-        blocks += load(REPORTS[study.report].text)(measured, varied)
-        if figures := measure_targets(study.report, measured):
+        report = REPORTS[study.report]
+        prepared = prepare(report, measured, varied)
+        blocks += write_blocks(report, prepared, varied)
+        if figures := measure(report, prepared):
             blocks += ["## Summary", tabulate_targets(figures, study.target, study.paper)]
     if failures:
         failed = {row["run"]: row for row in rows if row["failure"]}.values()

@@ -6,7 +6,7 @@ from deepgps.studies.plan import Plan, plan_runs
 from deepgps.studies.reports import changes
 from deepgps.studies.study import load_study
 from sim.files import STUDIES
-from sim.settings import CameraMountSettings, DeploymentSettings, ImageFaultSettings
+from sim.settings import CameraMountSettings, DeploymentSettings, EncoderSettings, ImageFaultSettings
 
 
 def plan(name: str, full: bool = False) -> list[Plan]:
@@ -74,7 +74,8 @@ def test_each_change_is_trained_in_one_light_and_in_several_on_pixels_and_on_ran
     usual = {"deployment.daylight": None, "deployment.exposure": "fixed", "deployment.moved_m": 0.0}
     usual |= {"deployment.person": False, "deployment.lamp_on": False}
     rows = [{**{name: usual.get(name, 1.0) for name in names}, **one.varied} for one in plans]
-    assert titles < set(changes.group_changes(rows, names))
+    rows = [{**row, "method": "deepgps", **dict.fromkeys(("rms_m", "median_m", "p95_m", "max_m"), 0.1)} for row in rows]
+    assert titles < {row["change"] for row in changes.name_changes(rows, names)}
 
 
 def test_corridors_have_twenty_worlds_and_maps_sixty_drives() -> None:
@@ -85,3 +86,13 @@ def test_corridors_have_twenty_worlds_and_maps_sixty_drives() -> None:
     assert len(plan_runs(study)) == 40
     plans = plan("maps")
     assert len({one.recording for one in plans}) == len(plans) == 4 * 60
+
+
+def test_the_encoder_study_asks_of_every_fault_with_five_seeds_and_shares_five_drives_of_each_robot() -> None:
+    plans = plan("encoder")
+    asked = {name for one in plans for name in EncoderSettings.model_fields if name in str(dict(one.varied))}
+    assert asked == set(EncoderSettings.model_fields) - {"plugins"}
+    robots = {one.scenario.robot.wheel_radius_error for one in plans}
+    assert (len(robots), len({one.scenario.seed for one in plans})) == (3, 5)
+    assert len({drive.model_dump_json() for drive in find_drives(plans).values()}) == 5 * len(robots)
+    assert len(plans[0].scenario.methods) == 6

@@ -9,22 +9,21 @@ from scipy.spatial.distance import pdist, squareform
 from deepgps.config.learning import LearnSettings
 from deepgps.methods.fit import fit_method
 from deepgps.reports.plots import to_png
-from deepgps.studies.catalog import REPORTS
 from deepgps.studies.plan import plan_runs
 from deepgps.studies.reports.mds import (
     add_distances,
     are_joined,
     draw,
     find_distances,
-    measure,
-    report,
     scale_all,
 )
 from deepgps.studies.study import load_study
+from deepgps.studies.table import Row
 from deepgps.terminal.progress import ignore
 from sim.alignment import fit_alignment
 from sim.errors import InputError
 from sim.geometry import FreeSpace
+from tests.helpers.reports import find_line, report_rows
 from tests.helpers.toy import QUICK, make_toy
 
 VARIED = ["learn.start"]
@@ -57,56 +56,52 @@ def test_a_wall_parts_what_no_straight_way_joins():
     assert are_joined(space, first, second).tolist() == [False, True, True]
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Runs of a study on the plane world of the tests: two outputs, and four that stay four."""
-    folder = tmp_path_factory.mktemp("mds")
-    ways = {"paths": {"start": "paths"}, "lifting": {"start": "lifting", "lift": {"dimensions": 4, "penalty": 0.0}}}
-    for name, way in ways.items():
-        recording = make_toy(folder / "runs" / name / "recording")
-        settings = LearnSettings.model_validate({**QUICK, **way, "fold": {"restarts": 0}})
-        fit_method("deepgps", recording, settings, 0, folder / "runs" / name / "deepgps", ignore)
-    fit_method("knn", recording, LearnSettings.model_validate(QUICK), 0, folder / "runs" / "lifting" / "knn", ignore)
-    return folder
-
-
-def test_a_network_of_two_outputs_is_its_own_map(folder: Path):
-    found = find_distances(folder / "runs" / "paths", "deepgps")
+def test_a_network_of_two_outputs_is_its_own_map(finished_run: Path):
+    found = find_distances(finished_run, "deepgps")
     assert found.dimensions == 2
     assert found.planar == pytest.approx(1.0)
-    assert np.allclose(found.own, found.scaled, atol=1e-6)
-    assert np.median(np.linalg.norm(found.own - found.truth, axis=1)) < 0.1
+    assert np.allclose(found.own, found.scaled, atol=1e-5)
     assert np.allclose(found.true, pdist(found.truth))
-    assert np.median(np.abs(found.predicted - found.true)) < 0.1
-    assert found.joined.any()
-    assert not found.joined.all()
-
-
-def test_a_network_of_more_outputs_learns_distances_that_nearly_lie_in_a_plane(folder: Path):
-    found = find_distances(folder / "runs" / "lifting", "deepgps")
-    assert found.dimensions == 4
-    assert 0.8 < found.planar < 1.0
-    assert np.median(np.linalg.norm(found.scaled - found.truth, axis=1)) < 0.2
-
-
-def test_the_report_says_how_far_the_map_is_from_the_network_and_draws_it(folder: Path):
-    rows = []
-    for name in ("paths", "lifting"):
-        row = {"run": name, "learn.start": name, "method": "deepgps", "flipped": 0.0, "fold_found": False}
-        rows.append({**row, **add_distances(folder / "runs" / name, row)})
-    assert rows[0]["mds_own_m"] < 1e-6
-    figures = measure(rows)
-    assert set(figures) == set(REPORTS["mds"].targets)
-    assert figures["planar"].value == rows[1]["planar"]
-    assert figures["mds_ratio"].value == pytest.approx(rows[1]["mds_m"] / rows[0]["own_m"])
-    text = report(rows, VARIED)[0]
-    assert "paths, DeepGPS" in text
-    assert to_png(draw(rows, VARIED, folder)).startswith(b"\x89PNG")
-
-
-def test_a_method_without_a_network_has_no_distances(folder: Path):
+    columns = add_distances(finished_run, {"method": "deepgps"})
+    assert columns["mds_own_m"] < 1e-5 and columns["own_m"] == pytest.approx(columns["mds_m"], abs=1e-5)
     with pytest.raises(InputError, match="knn has no network"):
-        find_distances(folder / "runs" / "lifting", "knn")
+        find_distances(finished_run, "knn")
+
+
+def make_distances(start: str, outputs: int, **columns: float) -> Row:
+    found = {"planar": 1.0, "own_m": 0.02, "mds_m": 0.02, "mds_own_m": 1e-7, "joined_m": 0.01, "unjoined_m": 0.03}
+    return {"method": "deepgps", "learn.start": start, "flipped": 0.0, "fold_found": False, "outputs": outputs} | {
+        **found,
+        **columns,
+    }
+
+
+def test_maps_of_more_outputs_are_compared_with_those_of_two():
+    rows = [make_distances("paths", 2), make_distances("lifting", 8, planar=0.9, mds_m=0.05)]
+    text, figures = report_rows("mds", rows, VARIED)
+    assert {name: figure.value for name, figure in figures.items()} == pytest.approx(
+        {"apart": 1e-7, "not_joined_ratio": 3.0, "planar": 0.9, "mds_ratio": 2.5}
+    )
+    assert find_line(text, "lifting", "DeepGPS")[:3] == ["1", "8", "90.0"]
+
+
+@pytest.mark.slow
+def test_a_network_of_more_outputs_learns_distances_that_nearly_lie_in_a_plane(tmp_path: Path):
+    rows = []
+    ways = {"paths": {"start": "paths"}, "lifting": {"start": "lifting", "lift": {"dimensions": 4, "penalty": 0.0}}}
+    for name, way in ways.items():
+        run = tmp_path / "runs" / name
+        settings = LearnSettings.model_validate({**QUICK, **way, "fold": {"restarts": 0}})
+        fit_method("deepgps", make_toy(run / "recording"), settings, 0, run / "deepgps", ignore)
+        row = {"run": name, "learn.start": name, "method": "deepgps", "flipped": 0.0, "fold_found": False}
+        rows.append({**row, **add_distances(run, row)})
+    plane, space = (find_distances(tmp_path / "runs" / name, "deepgps") for name in ways)
+    assert np.median(np.linalg.norm(plane.own - plane.truth, axis=1)) < 0.1
+    assert np.median(np.abs(plane.predicted - plane.true)) < 0.1
+    assert plane.joined.any() and not plane.joined.all()
+    assert space.dimensions == 4 and 0.8 < space.planar < 1.0
+    assert np.median(np.linalg.norm(space.scaled - space.truth, axis=1)) < 0.2
+    assert to_png(draw(rows, VARIED, tmp_path)).startswith(b"\x89PNG")
 
 
 def test_the_study_asks_with_two_outputs_and_with_more():

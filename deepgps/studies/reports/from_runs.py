@@ -1,0 +1,97 @@
+"""What reports take from the files of runs: columns for the study's table, and pictures of rooms."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from safetensors import safe_open
+
+from deepgps.config.methods import folder_of
+from deepgps.evaluation.error_field import find_rms, read_all_headings, read_fields
+from deepgps.evaluation.evaluate import measure_heading_spread
+from deepgps.evaluation.measures import measure_visible
+from deepgps.positioner.positioner import Positioner
+from deepgps.positioner.stored_positioner import load_positioner
+from deepgps.reports.plots import add_scale, print_error_field
+from deepgps.reports.run_report import read_metrics
+from deepgps.studies.reports.encoder import NEAR_M, name_near
+from deepgps.studies.reports.maps import BINS, EDGES, SHAPE
+from deepgps.studies.reports.record import PAPERS_ERRORS
+from deepgps.studies.table import Row, split_by
+from sim.errors import InputError
+from sim.recording.format import open_recording, open_truth
+
+TURNED_IMAGES = 30
+
+
+def add_errors(run: Path, row: Row) -> Row:
+    """Columns for the part of test positions with small errors, errors of complete segments, and doubted segments."""
+    error = read_fields(run)[row["method"]].error
+    near = {name_near(near): float(np.mean(error <= near)) for near in NEAR_M}
+    return {**near, **read_metrics(run)["distances"]}
+
+
+def add_turn_spread(run: Path, row: Row) -> Row:
+    """A column for how much a trained network's prediction changes when an image is turned."""
+    images = open_recording(run / "recording").test_observation
+    few = np.linspace(0, len(images) - 1, min(TURNED_IMAGES, len(images))).round().astype(int)
+    return {"turn_spread_m": measure_turn_spread(load_positioner(folder_of(run, row["method"])), images[few, 0])}
+
+
+def measure_turn_spread(positioner: Positioner, images: np.ndarray) -> float:
+    """RMS distance [m] of predictions from their mean over all turns of each image (n, rings, sectors, 3)."""
+    turned = np.stack([np.roll(images, turn, axis=2) for turn in range(images.shape[2])], axis=1)
+    return measure_heading_spread(positioner(turned.reshape(-1, *images.shape[1:])).reshape(*turned.shape[:2], 2))
+
+
+def add_reach(run: Path, row: Row) -> Row:
+    """A column for each bin of reach: the errors of all its positions [m]."""
+    field = read_fields(run)[row["method"]]
+    part = np.digitize(measure_visible(open_truth(run / "recording").free_space, field.truth), EDGES[1:-1])
+    return {f"errors_{number}_m": field.error[part == number].astype(np.float32) for number in range(BINS)}
+
+
+def add_scans(run: Path, row: Row) -> Row:
+    """Columns for the errors over single scans, and for how many numbers the method stores for positioning."""
+    error = read_all_headings(run)[row["method"]].error
+    errors = {"each_rms_m": find_rms(error), "each_median_m": np.median(error), "each_max_m": error.max()}
+    with safe_open(folder_of(run, row["method"]) / "weights.safetensors", "np") as weights:
+        stored = sum(int(np.prod(weights.get_slice(name).get_shape())) for name in weights.offset_keys())
+    return {**{name: float(value) for name, value in errors.items()}, "stored": stored}
+
+
+def add_labels(run: Path, row: Row) -> Row:
+    """Columns for errors against labels, and for the errors of the labels themselves."""
+    metrics = read_metrics(run)
+    if "labels" not in metrics:
+        raise InputError(f"{run}: the report lab needs a recording with labels, as tag_camera.mounted gives it")
+    labels, against = metrics["labels"], metrics["methods"][row["method"]]["against_labels"]
+    return {
+        **{f"label_{name}": against[name] for name in PAPERS_ERRORS},
+        **{name: labels[name] for name in ("unlabelled", "test_unlabelled")},
+        "labels_rms_m": labels["rms_m"],
+        "labels_max_m": labels["max_m"],
+    }
+
+
+def draw_shapes(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Figure:
+    """Draw a room of each shape: how much of it each position reaches, and DeepGPS's error there."""
+    shapes = split_by([row for row in rows if row["method"] == "deepgps" and row["kind"] == "run"], SHAPE)
+    figure = Figure(figsize=(9.6, 2.9 * len(shapes) + 0.2), layout="constrained")
+    panels = figure.subplots(len(shapes), 2, squeeze=False, sharex=True, sharey=True)
+    dots = None
+    for (left, right), (shape, (row, *_)) in zip(panels, shapes.items(), strict=True):
+        run = folder / "runs" / row["run"]
+        field = print_error_field(right, run, "deepgps")
+        right.set_title(f"{shape}: RMS {100 * row['rms_m']:.1f} cm", fontsize=9)
+        visible = measure_visible(open_truth(run / "recording").free_space, field.truth)
+        dots = left.scatter(*field.truth.T, s=6, c=100 * visible, norm=Normalize(0, 100), cmap="viridis", linewidths=0)
+        left.set_title(f"{shape}: reach", fontsize=9)
+        left.set(aspect="equal", ylabel="y [m]")
+    if dots is not None:
+        label = "share of the floor reached [%]"
+        figure.colorbar(dots, ax=list(panels[:, 0]), shrink=0.5, label=label, location="left")
+    add_scale(figure, list(panels[:, 1]))
+    return figure

@@ -1,0 +1,498 @@
+"""What each report makes of its rows: what is compared with what, what counts as right, and which figures follow."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from deepgps.reports.plots import to_png
+from deepgps.studies.catalog import REPORTS
+from deepgps.studies.reports import changes, compare, encoder, maps, paper, rooms
+from deepgps.studies.reports.diagnose import QUANTITIES
+from deepgps.studies.reports.encoder import PERFECT, find_strongest, find_sweeps
+from deepgps.studies.reports.pictures import draw
+from deepgps.studies.reports.render import prepare
+from deepgps.studies.reports.report import varied_names, write_report
+from deepgps.studies.study import load_study
+from deepgps.studies.table import Row, split_by
+from tests.helpers.reports import find_line, read_cells, report_rows, values_of
+
+ERRORS = {"rms_m": 1.0, "median_m": 0.5, "p95_m": 2.0, "max_m": 10.0}
+
+
+def make_row(rms: float, method: str = "deepgps", **columns: object) -> Row:
+    found = None if method == "posenet" else False
+    errors = {name: rms * share for name, share in ERRORS.items()}
+    return {"method": method, "seed": 0, "flipped": 0.0, "fold_found": found, "scale": 1.0, **errors, **columns}
+
+
+# --- compare, strategies, networks
+
+FOLLOWS = ["learn.start", "learn.train.segments"]
+VARIED = ["drive.strategy", "drive.samples", *FOLLOWS, "room.seed", "seed"]
+
+
+def drive(strategy: str, samples: int, rms: float, distance: float, room: int, method: str = "deepgps") -> Row:
+    choice = {"drive.strategy": strategy, "drive.samples": samples, "room.seed": room, "distance_m": distance}
+    choice |= dict(zip(FOLLOWS, ("paths", 16) if strategy == "dense" else ("ends", 128), strict=True))
+    return make_row(rms, method, samples=samples, train_s=10.0, **choice)
+
+
+STRATEGIES = [
+    drive("dense", 1500, 0.02, 100.0, 0),
+    drive("dense", 1500, 0.04, 120.0, 20),
+    drive("dense", 1500, 0.01, 100.0, 0, "posenet"),
+    drive("endpoint", 80, 0.90, 105.0, 0) | {"flipped": 0.3, "fold_found": True},
+    drive("endpoint", 80, 0.60, 115.0, 20) | {"flipped": 0.2},
+    drive("endpoint", 1500, 0.06, 2200.0, 0),
+]
+
+
+def test_rooms_and_seeds_repeat_and_all_else_is_compared() -> None:
+    text, figures = report_rows("strategies", STRATEGIES, VARIED)
+    dense = find_line(text, "dense", "1500", "paths", "16", "DeepGPS")
+    assert dense == ["2", "1500", "110", "3.00", "1.50", "6.00", "30.0", "4.00", "0", "0", "10.0"]
+    assert find_line(text, "endpoint", "80", "ends", "128", "DeepGPS")[-3:-1] == ["2", "1"]
+    assert find_line(text, "dense", "1500", "paths", "16", "PoseNet")[-3:-1] == ["0", "-"]
+    values = {name: figure.value for name, figure in figures.items()}
+    assert values == pytest.approx({"travel_ratio": 25.0, "samples_ratio": 2.0, "way_ratio": 20.0})
+
+
+def test_networks_are_judged_as_they_train_with_shifted_images() -> None:
+    def network(name: str, rms: float, turn: float = 0.0, shift: bool = True) -> Row:
+        return make_row(rms, turn_spread_m=turn, **{compare.NETWORK: name, compare.SHIFT: shift})
+
+    rows = [network("invariant", 0.03, 2e-6), network("resnet_paper", 0.06, 0.02)]
+    rows += [network("resnet_plain", 0.12, 0.05), network("resnet_plain", 0.90, 0.5, shift=False)]
+    values = values_of("networks", [{**row, "samples": 1, "distance_m": 1.0, "train_s": 1.0} for row in rows])
+    assert (values["plain_ratio"], values["plain_turned"]) == pytest.approx((2.0, 2.5))
+    assert (values["resnet_plain"], values["invariant_turned"]) == pytest.approx((0.12, 2e-6))
+
+
+# --- curves
+
+SAMPLES = (500.0, 1000.0, 4000.0, 16000.0)
+Lines = dict[tuple[str, str], dict[float, tuple[float, ...]]]
+
+
+def make_curves(rms: Lines, axis: str = "encoder.step_noise") -> list[Row]:
+    """A row for each scenario, method, value of the axis and seed, in the order of a table's columns."""
+    return [
+        {"run": "r", "seed": seed, "learn.knob": 1, "scenario": scenario, axis: value, "samples": 100, "failure": None}
+        | make_row(one, method, shorter_side_m=2.0, relative_rms=one / 2.0)
+        | {"seed": seed}
+        for (scenario, method), line in rms.items()
+        for value, seeds in line.items()
+        for seed, one in enumerate(seeds)
+    ]
+
+
+NOISE = make_curves(
+    {
+        ("landmarks", "deepgps"): {0.0: (0.001, 0.003), 0.1: (0.004, 0.006)},
+        ("landmarks", "posenet"): {0.0: (0.002, 0.002), 0.1: (0.002, 0.002)},
+        ("living_room", "deepgps"): {0.0: (0.02, 0.02), 0.1: (0.03, 0.05)},
+    }
+)
+
+
+def make_line(*rms: float) -> list[Row]:
+    line = dict(zip(SAMPLES, ((one,) for one in rms), strict=True))
+    return make_curves({("living_room", "deepgps"): line}, "drive.samples")
+
+
+def test_targets_are_judged_at_the_highest_value_in_the_worst_case() -> None:
+    _, figures = report_rows("curves", NOISE, ["scenario", "encoder.step_noise", "seed"])
+    assert (figures["relative_rms"].value, figures["relative_rms"].worst) == pytest.approx((0.02, 0.025))
+    assert (figures["relative_median"].value, figures["rms_m"].value) == pytest.approx((0.01, 0.04))
+    assert "knee" not in figures  # what rises has none
+    text = write_report(load_study("noise_w", tiny=False), [], {}, NOISE)
+    line = find_line(text, "RMS / side at encoder.step_noise 0.1")
+    assert line == ["2.0 %", "-", "2.5 %", "<= 2.0 %", "met", "2.0 %"]
+    assert find_line(text, "landmarks", "0.1", "DeepGPS")[:3] == ["2", "100", "0.500"]
+
+
+def test_the_knee_is_where_the_line_becomes_flat_and_the_paper_has_one_value() -> None:
+    text, figures = report_rows("curves", make_line(0.2, 0.08, 0.049, 0.04), ["drive.samples"])
+    assert figures["knee"].value == 4000
+    assert "drive.samples 4000, the smallest value" in text
+    heading, *lines = read_cells(text, headings=True)
+    place = heading.index("paper rms [cm]")
+    assert [line[place] for line in lines] == ["-", "4.00", "-", "-"]
+    still_falling = report_rows("curves", make_line(0.2, 0.08, 0.06, 0.04), ["drive.samples"])
+    assert "knee" not in still_falling[1] and "knee" not in still_falling[0]
+
+
+@given(rms=st.tuples(*[st.floats(0.001, 1.0)] * 4))
+def test_from_the_knee_on_all_are_within_and_the_one_before_is_not(rms: tuple[float, ...]) -> None:
+    knee, within = compare.find_knee(make_line(*rms), "drive.samples"), [one <= compare.KNEE * rms[-1] for one in rms]
+    if knee is None:
+        assert all(within) or not within[-2]
+    else:
+        place = SAMPLES.index(knee)
+        assert all(within[place:]) and not within[place - 1] and place < len(rms) - 1
+
+
+def test_curves_run_through_the_means_and_bands_from_best_to_worst() -> None:
+    def draw_panels(rows: list[Row], varied: list[str]):
+        report = REPORTS["curves"]
+        return draw(report.pictures["curves"], prepare(report, rows, varied), varied, Path()).axes
+
+    panels = draw_panels(NOISE, ["scenario", "encoder.step_noise"])
+    assert [axes.get_title() for axes in panels] == ["landmarks", "living_room"]
+    lines = {str(line.get_label()): line for line in panels[0].lines}
+    np.testing.assert_allclose(np.asarray(lines["DeepGPS"].get_ydata()), [0.2, 0.5])
+    np.testing.assert_allclose(np.asarray(lines["DeepGPS, median"].get_ydata()), [0.1, 0.25])
+    np.testing.assert_allclose(np.asarray(lines["paper: below this share of the side"].get_ydata()), 4.0)
+    band = np.asarray(panels[0].collections[0].get_paths()[0].vertices)
+    np.testing.assert_allclose([band[:, 1].min(), band[:, 1].max()], [0.1, 0.6])
+    (panel,) = draw_panels(make_line(0.2, 0.08, 0.05, 0.04), ["drive.samples"])
+    assert (panels[0].get_xscale(), panel.get_xscale(), panel.get_yscale()) == ("linear", "log", "log")
+    (theirs,) = [line for line in panel.lines if line.get_label() == "paper's RMS"]
+    assert np.asarray(theirs.get_xydata()).tolist() == [[1000.0, 4.0]]
+
+
+# --- rooms, corridors
+
+
+def test_targets_are_met_or_missed_by_the_mean_of_the_rooms_and_wins_are_counted() -> None:
+    study = load_study("precision", tiny=False)
+    common = {"train_s": 80.0, "relative_rms": 0.01, "seen": 1.0, "failure": None, "median_m": 0.007, "max_m": 0.3}
+    rows = [
+        make_row(rms, method, run=str(room), recording=str(room), **common, **dict.fromkeys(varied_names(study), room))
+        for room, errors in enumerate(((0.01, 0.02), (0.03, 0.02)))
+        for method, rms in zip(("deepgps", "posenet"), errors, strict=True)
+    ]
+    text = write_report(study, [], {}, rows)
+    assert find_line(text, "RMS") == ["2.0 cm", "-", "3.0 cm", "<= 2.0 cm", "met", "10.1 cm"]
+    assert find_line(text, "max")[:5] == ["30.0 cm", "-", "30.0 cm", "<= 20.0 cm", "missed"]
+    assert find_line(text, "RMS / PoseNet's RMS")[:5] == ["1.00", "-", "1.50", "<= 1.05", "met"]
+    assert find_line(text, "rooms with RMS below PoseNet's")[0] == "50.0 %"
+    assert "Of 2 rooms, DeepGPS has lower errors than PoseNet in 1 by RMS (p = 1), 0 by median (p = 1)" in text
+
+
+def test_figures_of_what_is_accepted_are_medians_over_the_rooms_that_have_them() -> None:
+    held = [0.5 + 0.01 * number for number in range(10)]
+    rows = [make_row(0.02, recording=str(share), radius_68_holds=share, rms_accepted_m=share) for share in held]
+    rows[-1]["radius_68_holds"] = None
+    _, figures = report_rows("rooms", [{**row, "train_s": 1.0} for row in rows], ["recording"])
+    assert figures["radius_68_holds"].value == pytest.approx(np.median(held[:-1]))
+    assert (figures["radius_68_holds"].worst, figures["rms_accepted_m"].worst) == (held[0], held[-1])
+    assert "max_accepted_m" not in figures
+
+
+def test_wrong_maps_are_counted_by_what_is_said_of_them() -> None:
+    own = {"misplaced": 0.02, "undecided": None, "turned": 0.0, "seen": 0.9, rooms.NOISE: 0.0}
+    noisy = {**own, "misplaced": 0.6, rooms.NOISE: 0.3}
+    rows = [
+        make_row(0.3, "deepgps_compass", recording="0", **own),
+        make_row(0.2, "posenet", recording="0", **{**own, "misplaced": None}),
+        make_row(2.0, "deepgps_compass", recording="1", **{**noisy, "undecided": True}),
+        make_row(2.0, "deepgps_compass", recording="2", **{**noisy, "undecided": False}),
+        make_row(2.0, recording="0", **{**own, "misplaced": 0.4}) | {"fold_found": True},
+        make_row(0.3, recording="1", **{**own, "turned": 0.1}) | {"fold_found": True},
+    ]
+    text, figures = report_rows("corridors", rows, [rooms.NOISE])
+    assert read_cells(text)[-3:] == [
+        ["0", "DeepGPS, compass", "1", "0", "0", "0", "-", "0", "0"],
+        ["0.3", "DeepGPS, compass", "2", "2", "0", "0", "1", "1", "0"],
+        ["0", "DeepGPS", "2", "1", "2", "1", "-", "0", "1"],
+    ]
+    assert (figures["compass_rms_ratio"].value, figures["compass_unsaid"].value) == (pytest.approx(1.5), 1)
+    assert set(values_of("corridors", [{**rows[1], "method": "knn"}])) == {"aliased_rms_m"}
+
+
+# --- faults and changes
+
+FAULTS = ["image_faults.exposure", "deployment.light", "camera_mount.roll_deg", "seed"]
+
+
+def make_fault(
+    rms: float, exposure: float = 1.0, light: float = 1.0, method: str = "deepgps", lean: float = 0.0
+) -> Row:
+    faults = {"image_faults.exposure": exposure, "deployment.light": light, "camera_mount.roll_deg": lean}
+    return make_row(rms, method, **faults)
+
+
+FAULTY = [make_fault(0.04, light=0.5), make_fault(0.02), make_fault(0.03, exposure=0.25), make_fault(0.05, 0.25)]
+
+
+def test_each_fault_stands_beside_none_and_those_in_use_alone_come_last() -> None:
+    text, figures = report_rows("camera", FAULTY, FAULTS)
+    both, use = "training and deployment", "deployment only"
+    assert [line[0] for line in read_cells(text)] == ["no fault", "exposure x 0.25", "all light x 0.5"]
+    for first, expected in (
+        (("no fault", both), ["1", "2.00", "1.00"]),
+        (("exposure x 0.25", both), ["2", "4.00", "2.00"]),
+        (("all light x 0.5", use), ["1", "4.00", "2.00"]),
+    ):
+        line = find_line(text, *first, "DeepGPS")
+        assert [line[0], line[1], line[5]] == expected
+    assert figures["clean_rms_m"].value == 0.02
+    values = figures["both_rms_ratio"].value, figures["deployment_median_ratio"].value
+    assert values == pytest.approx((2.0, 2.0))
+
+
+def test_without_a_run_without_faults_there_is_nothing_to_compare_with() -> None:
+    text, figures = report_rows("camera", FAULTY[:1], FAULTS)
+    assert figures == {}
+    assert "base" not in text.partition("\n")[0]
+
+
+def test_a_leaning_camera_with_another_fault_does_not_count_as_one_that_leans() -> None:
+    rows = [
+        make_fault(rms, exposure, method="deepgps_compass", lean=degrees)
+        for rms, exposure, degrees in ((0.01, 1.0, 0.0), (0.02, 1.0, 8.0), (0.50, 0.25, 8.0), (0.50, 0.25, 2.0))
+    ]
+    assert values_of("camera", rows, FAULTS) == pytest.approx({"compass_tilted_8_ratio": 2.0})
+
+
+def test_a_study_of_changes_on_one_kind_of_features_needs_not_vary_it() -> None:
+    varied = ["deployment.light", changes.LIGHT]
+    rows = [
+        make_row(rms, "deepgps_compass", **{"deployment.light": light, changes.LIGHT: False})
+        for rms, light in ((0.01, 1.0), (0.02, 0.2))
+    ]
+    text, figures = report_rows("change", rows, varied)
+    assert text.startswith("## Trained in one light\n")
+    assert figures["light_0.2_ratio"].value == pytest.approx(2.0)
+    assert values_of("change", rows[1:], varied) == {}
+    report = REPORTS["change"]
+    picture = draw(report.pictures["change"], prepare(report, rows, varied), varied, Path())
+    assert to_png(picture).startswith(b"\x89PNG")
+    assert [tick.get_text() for tick in picture.axes[0].get_yticklabels()] == ["no change", "all light x 0.2"]
+
+
+# --- maps
+
+
+def test_methods_without_a_map_by_compass_are_left_out() -> None:
+    ours = {"map_rms_m": 0.02, "map_expected_rms_m": 0.01, "map_nees": 1.5, "map_flipped_m2": 0.2}
+    row = make_row(0.1, "deepgps_compass", **ours, **{maps.NOISE: 0.1})
+    other = make_row(0.1, **dict.fromkeys(ours), **{maps.NOISE: 0.1})
+    assert report_rows("maps", [row, other], [maps.NOISE]) == report_rows("maps", [row], [maps.NOISE])
+    assert values_of("maps", [row]) == {"mirrored": 1, "rms_m w 0.1": 0.02, "nees w 0.1": 1.5}
+
+
+def reaching(method: str, shape: str, little: float, rest: float) -> Row:
+    """10 positions that reach little of the room, 90 that reach much, and the error of each [m]."""
+    errors = {f"errors_{part}_m": {0: [little] * 10, 4: [rest] * 90}.get(part, []) for part in range(maps.BINS)}
+    return make_row(rest, method, **{"room.shape": shape}, **errors)
+
+
+def test_errors_by_reach_are_those_of_all_positions_put_together() -> None:
+    rows = [reaching("deepgps", "l", 0.3, 0.1), reaching("deepgps", "u", 0.2, 0.1)]
+    assert sorted(maps.pool(rows)) == pytest.approx([0.1] * 180 + [0.2] * 10 + [0.3] * 10)
+    assert maps.pool(rows, [0]).tolist() == [0.3] * 10 + [0.2] * 10
+    text, _ = report_rows("concave", rows, ["room.shape"])
+    assert find_line(text, "0-10 %", "DeepGPS") == ["20", f"{100 * np.sqrt((0.09 + 0.04) / 2):.1f}", "25.0"]
+    assert find_line(text, "40-50 %", "DeepGPS")[0] == "180"
+
+
+def test_what_little_reach_costs_is_told_for_each_method_where_there_is_any() -> None:
+    rows = [reaching("deepgps", "rectangle", 0.4, 0.01), reaching("deepgps", "two_rooms", 0.4, 0.02)]
+    values = values_of("concave", [*rows, reaching("posenet", "rectangle", 0.01, 0.01)], ["room.shape"])
+    assert values["deepgps_little"] == pytest.approx(0.4 / np.sqrt((0.02**2 + 0.01**2) / 2))
+    assert values["posenet_little"] == pytest.approx(1.0)
+    assert "posenet_two_rooms" not in values
+    assert "deepgps_little" not in values_of("concave", [rows[0] | {"errors_0_m": []}], ["room.shape"])
+
+
+# --- encoders
+
+NAMES = (
+    *("encoder.ticks_per_rev", "encoder.step_noise", "encoder.radius_error_left", "encoder.radius_error_right"),
+    *("encoder.slip_per_m", "encoder.stuck_fraction", "robot.wheel_radius_error"),
+)
+TICKS, W, LEFT, RIGHT = NAMES[:4]
+SHARES = (("deepgps", 1.0), ("deepgps_noise_aware", 0.5))
+
+
+def make_sweeps(rms: dict[tuple, float], shares: tuple[tuple[str, float], ...] = SHARES) -> list[Row]:
+    """Two seeds of the methods for each set of faults; each method has its share of the error."""
+    rows = []
+    for faults, error in rms.items():
+        settings = {name: dict(faults).get(name, PERFECT[name]) for name in NAMES}
+        for method, share in shares:
+            for seed in (0, 1):
+                row = {"run": "r", "seed": seed, **settings, "samples": 100, "method": method, "scale": 1.0}
+                row |= {"rms_m": share * error * (1 + 0.1 * seed), "median_m": share * error / 10, "failure": None}
+                row |= {"flipped": 0.3 if error > 0.2 else 0.01}
+                row |= {"within_2_cm": 1.0 - 10 * share * error, "within_5_cm": 1.0 - 3 * share * error}
+                row |= {"segment_rms_m": error, "segment_expected_m": error, "wrong_doubted": 3, "segments_wrong": 4}
+                rows.append(row)
+    return rows
+
+
+SWEEPS = make_sweeps(
+    {
+        (): 0.01,
+        ((TICKS, 64),): 0.0105,
+        ((TICKS, 16),): 0.011,
+        ((TICKS, 4),): 0.03,
+        ((W, 0.1),): 0.025,
+        ((LEFT, 0.02), (RIGHT, 0.02)): 0.04,
+        ((LEFT, 0.02),): 0.02,
+        ((W, 0.1), (TICKS, 4)): 0.05,
+    }
+)
+
+
+def list_values(rows: list[Row]) -> dict[str, list]:
+    sweeps = split_by([row for row in find_sweeps(rows, []) if "value" in row], "sweep")
+    return {sweep: list(split_by(some, "value")) for sweep, some in sweeps.items()}
+
+
+def test_faults_are_told_apart_from_pairs_of_them_and_grow_from_none() -> None:
+    assert list_values(SWEEPS) == {
+        "ticks per revolution": [4096, 64, 16, 4],
+        "noise w of each gap": [0.0, 0.1],
+        "error of one wheel's radius": [0.0, 0.02],
+        "error of both wheels' radius": [0.0, 0.02],
+        "noise w of each gap with ticks per revolution": ["0, 4", "0, 4096", "0.1, 4", "0.1, 4096"],
+    }
+    either_sign = make_sweeps({((LEFT, error),): 0.01 for error in (-0.1, 0.0, 0.02)})
+    assert list_values(either_sign) == {"error of one wheel's radius": [0.0, 0.02, -0.1]}
+
+
+def test_the_page_says_which_encoder_is_enough() -> None:
+    def choose(rows: list[Row], near: float) -> dict[str, list[str]]:
+        sweeps = split_by([row for row in find_sweeps(rows, []) if row.get("near") == near], "sweep")
+        return {sweep: [row["strongest"] for row in some] for sweep, some in sweeps.items()}
+
+    enough = choose(SWEEPS, 0.02)
+    assert enough["ticks per revolution"] == ["16", "all, to 4"]
+    assert enough["noise w of each gap"] == ["none tolerated", "all, to 0.1"]
+    assert choose(SWEEPS, 0.05)["noise w of each gap"] == ["all, to 0.1", "all, to 0.1"]
+    one_bad_place = [{**row, "seed": 2, "rms_m": 1.0} for row in SWEEPS if row["seed"] == 0]
+    assert choose([*SWEEPS, *one_bad_place], 0.02) == enough
+    worse = [{**row, "value": 0, "within_2_cm": row["within_2_cm"] - 0.2} for row in SWEEPS]
+    assert find_strongest(0.02, worse, fewer_is_worse=False) == "none is enough"
+    assert find_line(report_rows("encoder", SWEEPS)[0], "ticks per revolution", "16") == ["all, to 4"]
+
+
+def test_targets_are_ratios_to_a_perfect_encoder() -> None:
+    _, figures = report_rows("encoder", SWEEPS)
+    assert figures["rms_w"].value == pytest.approx(0.025 * 1.05)
+    assert figures["aware_rms_w"].worst == pytest.approx(0.0125 * 1.1)
+    assert figures["ticks_16"].value == pytest.approx(1.1)
+    assert figures["ticks_4"].value == figures["aware_ticks_4"].value == pytest.approx(3.0)
+    assert {target.name for target in REPORTS["encoder"].targets if "compass" not in target.name} == set(figures)
+
+
+def test_the_compass_is_judged_beside_distances_alone_when_stuck_and_on_curves() -> None:
+    faults = {
+        **{(): 0.01, ((W, 0.3),): 0.1, ((LEFT, 0.01),): 0.1, (("encoder.slip_per_m", 0.1),): 0.1},
+        **{(("encoder.stuck_fraction", 0.5),): 0.3, ((NAMES[-1], 0.01),): 0.011, ((NAMES[-1], 0.03),): 0.012},
+    }
+    values = values_of("encoder", make_sweeps(faults, (("deepgps_compass", 0.5), ("deepgps", 1.0))))
+    stuck = {"compass_stuck_rms_m": 0.15 * 1.05, "compass_stuck_folded": 2}
+    ratios = {"compass_w": 0.5, "compass_radius": 0.5, "compass_slip": 0.5, "compass_curves_1": 1.1}
+    assert {name: value for name, value in values.items() if "compass" in name} == pytest.approx(
+        {**stuck, **ratios, "compass_curves_3": 1.2}
+    )
+
+
+def test_what_its_map_expects_and_what_is_good_enough_are_drawn() -> None:
+    rows = [{**row, "map_expected_rms_m": row["rms_m"] / 2 if row["method"] == "deepgps" else None} for row in SWEEPS]
+    errors, near = (
+        draw(picture, find_sweeps(rows, []), [], Path()).axes[0] for picture in (encoder._ERRORS, encoder._NEAR)
+    )
+    lines = {str(line.get_label()): np.asarray(line.get_ydata(), float) for line in errors.lines}
+    np.testing.assert_allclose(lines["DeepGPS, expected by its map"], lines["DeepGPS"] / 2)
+    assert not any("noise-aware, expected" in label for label in lines)
+    lines = {str(line.get_label()): np.asarray(line.get_ydata(), float).tolist() for line in near.lines}
+    assert near.get_ylim() == (0, 100)
+    assert (lines["DeepGPS"], lines["good enough"]) == (pytest.approx([90, 89.5, 89, 70]), pytest.approx([80] * 4))
+
+
+# --- the paper
+
+
+def test_the_papers_figures_are_those_of_its_tables() -> None:
+    landmarks, lab = (load_study(name, tiny=False).paper for name in ("landmarks", "lab"))
+    assert landmarks == {f"{method}_{kind}": one[0] for (kind, method), one in paper.PAPERS_LANDMARKS.items()}
+    assert lab == {
+        f"{method}_label_{name}": figures[place][0]
+        for method, figures in paper.PAPERS_LAB.items()
+        for place, name in enumerate(paper.PAPERS_ERRORS)
+    }
+    lidar = load_study("lidar", tiny=False).paper
+    ours, baseline = (np.array(paper.PAPERS_LIDAR[name]) for name in ("deepgps", "pca_knn"))
+    worst = (ours / baseline).max(axis=0)
+    assert (lidar["rms_ratio"], lidar["median_ratio"]) == pytest.approx(tuple(worst[:2]), abs=0.005)
+    assert (lidar["rms_m"], lidar["median_m"]) == pytest.approx(tuple(ours.mean(axis=0)[:2]), abs=0.0005)
+
+
+def test_the_training_time_is_that_of_deepgps_alone_and_the_papers_errors_stand_beside_ours() -> None:
+    times = (("deepgps", 10.0), ("deepgps", 11.0), ("posenet", 900.0))
+    rows = [make_row(0.01, method, train_s=seconds, **{paper.REACH: None}) for method, seconds in times]
+    text, figures = report_rows("landmarks", rows)
+    assert figures["train_s"].value == 10.5
+    assert find_line(text, "complete", "DeepGPS") == [
+        "2",
+        "10.0",
+        "5.00",
+        "100",
+        "10.0",
+        "10.5",
+        "4.00",
+        "4.00",
+        "21.0",
+    ]
+
+
+def test_the_target_of_lidar_is_that_of_the_worst_map() -> None:
+    rows = [
+        make_row(rms, method, recording=f"map{number}", train_s=10.0, stored=130_000_000 if rms > 0.07 else 400_000)
+        for number, method, rms in (
+            (0, "deepgps", 0.04),
+            (0, "pca_knn", 0.08),
+            (1, "deepgps", 0.06),
+            (1, "pca_knn", 0.05),
+        )
+    ]
+    rows[3]["stored"] = 130_000_000
+    values = values_of("lidar", rows, ["recording"])
+    assert (values["rms_ratio"], values["stored_ratio"]) == pytest.approx((1.2, 325.0))
+
+
+def test_errors_against_labels_and_what_is_accepted_are_beside_the_errors_of_all() -> None:
+    labels = {name: 0.03 for name in ("label_rms_m", "label_median_m", "label_max_m")}
+    more = {"labels_rms_m": 0.005, "unlabelled": 200, "test_unlabelled": 30, "train_s": 40.0}
+    accepted = {"accepted": 0.9, "rms_accepted_m": 0.05, "max_accepted_m": 0.08}
+    text, figures = report_rows("lab", [make_row(0.03, **labels, **more, **accepted) | {"seed": 1}], ["seed"])
+    line = find_line(text, "1", "DeepGPS")
+    assert line[6:12] == ["5.00", "8.00", "90.0", "200", "30", "0.500"]
+    assert line[-3:] == ["5.3 ± 2.1", "3.6 ± 0.4", "17.5 ± 2.6"]
+    assert figures["deepgps_label_rms_m"].value == 0.03
+
+
+# --- diagnoses
+
+
+def diagnosed(made: str, found: str, must: str | None = None, track_m: float = 0.16) -> Row:
+    """A recording: the faults that were set, found, and large enough; all intervals hold if ``track_m`` is 0.16."""
+    true = {**dict.fromkeys(QUANTITIES, 0.0), "track_m": 0.16, "reading_ratio": 1.0, "wheel_ratio": 1.0}
+    values = {**true, "track_m": track_m}
+    ends = {f"{name}_{end}": value for name, value in values.items() for end in ("low", "high")}
+    truth = {f"{name}_true": value for name, value in true.items()}
+    return {"set": made, "found": found, "must": made if must is None else must, **values, **ends, **truth}
+
+
+def test_what_counts_as_right() -> None:
+    rows = [diagnosed(*names) for names in (("", ""), ("", "slip"), ("radius", "radius"), ("radius slip", "radius"))]
+    rows += [diagnosed("ticks", "", ""), diagnosed("alike", "track"), diagnosed("alike", "track radius")]
+    text, figures = report_rows("diagnose", [*rows, diagnosed("track", "track", track_m=0.17)])
+    values = {name: figure.value for name, figure in figures.items()}
+    assert values["recall"] == pytest.approx(3 / 4), "a fault too small to be told need not be found"
+    assert values["precision"] == pytest.approx(5 / 7)
+    assert (values["false_alarms"], values["false_alarms_alike"]) == (1, 1)
+    assert values["coverage_least"] == pytest.approx(7 / 8)
+    assert figures["track_error"].worst == pytest.approx(1 / 16)
+    assert find_line(text, "none")[0] == "2"
+    assert find_line(text, "both radii alike")[3] == "2", "the scale of turns"
+    assert find_line(text, "radius slip", "radius") == ["slip missed", "1"]
+    assert find_line(text, "ticks")[-2:] == ["1", "1"]
