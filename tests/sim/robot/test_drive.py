@@ -150,7 +150,7 @@ def test_contact_ends_a_segment_and_drops_its_last_samples():
     room = walls()
     # A bar between two fans of rays: the range finder cannot see it, the bumper feels it.
     add_box(room, "bar", (0.0, 0.8, 0.055), (2.0, 0.02, 0.015))
-    segments = take(make_world(room, (0.0, -0.5, 0.0)), 25)
+    segments = take(make_world(room, (0.0, -0.5, 0.0)), 12)
     touched = [segment for segment in segments if segment.ended == "contact"]
     assert touched
     for segment in touched:
@@ -200,14 +200,15 @@ class Toy:
         return np.array([self.travelled_m])
 
 
-@pytest.mark.parametrize("fault", ["blocked", "slipping"])
-def test_stall_ends_a_segment_and_drops_its_last_samples(fault):
-    segment = next_segment(Toy(fault, 0.7), DriveSettings(), np.random.default_rng(0), DriveMode(True))
-    assert segment.ended == "stall"
-    assert segment.dropped >= 1
-    assert segment.state[-1, 0] < 0.7
-    assert distances(segment)[-1] == pytest.approx(segment.state[-1, 0], abs=1e-6)
-    assert distances(segment)[-1] > 0.7 - 2 * UNCERTAIN_M
+def test_stall_ends_a_segment_and_drops_its_last_samples():
+    for fault in ("blocked", "slipping"):
+        segment = next_segment(Toy(fault, 0.7), DriveSettings(), np.random.default_rng(0), DriveMode(True))
+        assert segment.ended == "stall" and segment.dropped >= 1
+        assert distances(segment)[-1] == pytest.approx(segment.state[-1, 0], abs=1e-6)
+        assert 0.7 - 2 * UNCERTAIN_M < distances(segment)[-1] < 0.7
+    free = next_segment(Toy("none", np.inf), DriveSettings(), np.random.default_rng(0), DriveMode(True))
+    assert free.ended == "range"
+    assert distances(free)[-1] == pytest.approx(1.0 - RADIUS_M - 0.04, abs=0.004)
 
 
 class TouchedOnce(Toy):
@@ -229,29 +230,24 @@ class TouchedOnce(Toy):
         return super().snapshot()
 
 
-@pytest.mark.parametrize("touch_m", [0.02, 0.05, 0.1])
-def test_samples_of_a_segment_too_short_to_keep_are_counted_as_dropped(touch_m):
-    toy = TouchedOnce(touch_m)
-    segment = next_segment(toy, DriveSettings(spacing_m=0.01), np.random.default_rng(0), DriveMode())
-    assert segment.ended == "range"
-    assert segment.dropped == toy.taken > touch_m / 0.01
+def test_samples_of_a_segment_too_short_to_keep_are_counted_as_dropped():
+    for touch_m in (0.02, 0.05, 0.1):
+        toy = TouchedOnce(touch_m)
+        segment = next_segment(toy, DriveSettings(spacing_m=0.01), np.random.default_rng(0), DriveMode())
+        assert segment.ended == "range"
+        assert segment.dropped == toy.taken > touch_m / 0.01
 
 
-def test_toy_without_fault_stops_before_the_wall():
-    segment = next_segment(Toy("none", np.inf), DriveSettings(), np.random.default_rng(0), DriveMode(True))
-    assert segment.ended == "range"
-    assert distances(segment)[-1] == pytest.approx(1.0 - RADIUS_M - 0.04, abs=0.004)
+def test_an_arc_says_that_the_robot_moved_if_its_wheels_turned():
+    for bumps, wall_m in itertools.product((True, False), (2.0, 0.1)):
+        toy = Toy("none", np.inf)
+        toy.bumped = lambda bumps=bumps: bumps
+        toy.ranges = lambda reach_m, turned_rad=0.0, wall_m=wall_m: np.full(len(ANGLE), min(wall_m, reach_m))
+        assert drive_arc(toy, DriveSettings(), 0.5, 1.0) == toy.wheel_angle().any() == (bumps or wall_m > 1.0)
 
 
-@pytest.mark.parametrize(("bumps", "wall_m"), [(True, 2.0), (True, 0.1), (False, 2.0), (False, 0.1)])
-def test_an_arc_says_that_the_robot_moved_if_its_wheels_turned(bumps, wall_m, monkeypatch):
-    toy = Toy("none", np.inf)
-    monkeypatch.setattr(toy, "bumped", lambda: bumps)
-    monkeypatch.setattr(toy, "ranges", lambda reach_m, turned_rad=0.0: np.full(len(ANGLE), min(wall_m, reach_m)))
-    assert drive_arc(toy, DriveSettings(), 0.5, 1.0) == toy.wheel_angle().any() == (bumps or wall_m > 1.0)
-
-
-def test_robot_walled_in_is_stuck():
+def test_robot_walled_in_is_stuck(monkeypatch):
+    monkeypatch.setattr("sim.robot.drive.WEDGED", 2)
     room = empty_room()
     reach = RADIUS_M + 0.003 + 0.05
     for name, x, y in (("a", 1, 0), ("b", -1, 0), ("c", 0, 1), ("d", 0, -1)):
@@ -260,9 +256,8 @@ def test_robot_walled_in_is_stuck():
         take(make_world(room), 1)
 
 
-@pytest.mark.parametrize(
-    "pinch_m", [0.002, *(pytest.param(pinch_m, marks=pytest.mark.slow) for pinch_m in (0.001, 0.004))]
-)
+@pytest.mark.slow  # quick: it leaves a narrow pocket, and is relocated where it is wedged for good
+@pytest.mark.parametrize("pinch_m", [0.001, 0.002, 0.004])
 def test_robot_wedged_between_two_legs_frees_itself(pinch_m):
     room = walls()
     for name, side in (("left", 1), ("right", -1)):
@@ -275,7 +270,8 @@ def test_robot_wedged_between_two_legs_frees_itself(pinch_m):
     assert np.hypot(*last.pose[-1, :2]) > 0.5
 
 
-def test_robot_wedged_for_good_is_relocated_to_the_start():
+def test_robot_wedged_for_good_is_relocated_to_the_start(monkeypatch):
+    monkeypatch.setattr("sim.robot.drive.WEDGED", 2)
     room = walls()
     for name, x, y in (("a", 1, 0), ("b", -1, 0), ("c", 0, 1), ("d", 0, -1)):
         add_box(room, name, (1.2 + 0.158 * x, -0.6 + 0.158 * y, 0.5), (0.05 + 0.1 * abs(y), 0.05 + 0.1 * abs(x), 0.5))

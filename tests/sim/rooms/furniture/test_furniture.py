@@ -1,5 +1,8 @@
+import inspect
+from collections.abc import Callable
 from functools import partial
 from itertools import product
+from types import ModuleType
 
 import mujoco
 import numpy as np
@@ -8,63 +11,31 @@ from sim.rooms.free_space import find_free_space
 from sim.rooms.furniture import ceiling, decor, fittings, seating, storage
 from sim.rooms.furniture.primitives import COLLISION_GROUP, make_look
 
-STANDING = {
-    "sofa": seating.sofa,
-    "armchair": seating.armchair,
-    "chair": seating.chair,
-    "office_chair": seating.office_chair,
-    "stool": seating.stool,
-    "bed": seating.bed,
-    "dining_table": seating.dining_table,
-    "coffee_table": seating.coffee_table,
-    "bedside_table": seating.bedside_table,
-    "desk": seating.desk,
-    "workbench": seating.workbench,
-    "counter": seating.counter,
-    "island": seating.island,
-    "bookshelf": storage.bookshelf,
-    "wardrobe": storage.wardrobe,
-    "cabinet": storage.cabinet,
-    "television": storage.television,
-    "fridge": storage.fridge,
-    "oven": storage.oven,
-    "shelving": storage.shelving,
-    "filing_cabinet": storage.filing_cabinet,
-    "tool_chest": storage.tool_chest,
-    "floor_lamp": decor.floor_lamp,
-    "plant": decor.plant,
-    "coat_stand": decor.coat_stand,
-    "barrel": decor.barrel,
-    "ladder": decor.ladder,
-    "crates": decor.crates,
+SIZES = {
+    "dressed_window": {"width_m": 1.3},
+    "picture": {"z": 1.6, "size": (0.8, 0.6)},
+    "panel_lamp": {"side_m": 0.6},
+    "beam": {"size": (3.0, 0.15)},
+    "duct": {"size": (0.4, 3.0)},
 }
-HANGING = {
-    "door": fittings.door,
-    "window": partial(fittings.dressed_window, width_m=1.3),
-    "picture": partial(fittings.picture, z=1.6, size=(0.8, 0.6)),
-    "mirror": fittings.mirror,
-    "whiteboard": fittings.whiteboard,
-    "tool_wall": fittings.tool_wall,
-    "clock": fittings.clock,
-    "wall_shelf": fittings.wall_shelf,
-    "cooler": fittings.cooler,
-    "roller_door": fittings.roller_door,
-    "extinguisher": fittings.extinguisher,
-}
-OVERHEAD = {
-    "pendant": ceiling.pendant,
-    "globe": ceiling.globe,
-    "dish": ceiling.dish,
-    "tube": ceiling.tube,
-    "spots": ceiling.spots,
-    "chandelier": ceiling.chandelier,
-    "fan": ceiling.fan,
-    "vent": ceiling.vent,
-    "smoke_detector": ceiling.smoke_detector,
-    "hatch": ceiling.hatch,
-    "beam": partial(ceiling.beam, size=(3.0, 0.15)),
-    "duct": partial(ceiling.duct, size=(0.4, 3.0)),
-}
+PARTS = {"window", "curtains", "radiator", "rug"}
+"""Pieces of others, or without a height."""
+
+
+def _list_pieces(*modules: ModuleType) -> dict[str, Callable]:
+    """Every public piece of some modules, with its size if it needs one."""
+    found = {
+        name: partial(piece, **SIZES.get(name, {}))
+        for module in modules
+        for name, piece in inspect.getmembers(module, inspect.isfunction)
+        if piece.__module__ == module.__name__ and not name.startswith("_") and name not in PARTS
+    }
+    assert len(found) >= 11
+    return found
+
+
+STANDING, HANGING = _list_pieces(seating, storage, decor), _list_pieces(fittings)
+OVERHEAD = _list_pieces(ceiling)
 SEEDS = range(4)
 
 
