@@ -241,7 +241,10 @@ def _drive(job: _Job, give: Callable[[Part], None], progress: Report) -> Collect
     driven, wanted = 0, settings.drive.samples + settings.grid.held_out
     while driven < wanted:
         path, images, turns = chunk_files(work, len(drive.chunks))
-        chunk = _read_if_whole(path) or _drive_on(path, world, settings, rng, chunk)
+        before, chunk = chunk, _read_if_whole(path)
+        if chunk is None:
+            chunk = drive_chunk(world, settings, rng, before)
+            write_arrays(path, chunk)
         drive.chunks.append(chunk)
         drive.images.append(images)
         leans = draw_leans(settings.camera_mount, len(chunk["state"]), chance.lean)
@@ -253,19 +256,6 @@ def _drive(job: _Job, give: Callable[[Part], None], progress: Report) -> Collect
         driven = int(chunk["observations"])
         progress("drive", min(driven, wanted), wanted)
     return drive
-
-
-def _drive_on(
-    path: Path,
-    world: RoomWorld,
-    settings: SimSettings,
-    rng: np.random.Generator,
-    before: dict[str, np.ndarray] | None,
-) -> dict[str, np.ndarray]:
-    """Drive a chunk and write it."""
-    chunk = drive_chunk(world, settings, rng, before)
-    write_arrays(path, chunk)
-    return chunk
 
 
 def _lay_out_tests(job: _Job) -> list[Part]:

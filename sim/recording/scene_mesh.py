@@ -21,6 +21,7 @@ from sim.rooms.spec import DRAWN_GROUPS, PREFIX
 
 _JPEG_QUALITY = 85
 _SECTIONS = 16
+_COUNT = [_SECTIONS // 2, _SECTIONS]
 _DEFAULT_RGBA = np.array([0.5, 0.5, 0.5, 1.0])  # MuJoCo's default, which means that the geom has its material's colour
 _Geom = mujoco.mjtGeom
 
@@ -158,24 +159,13 @@ def _coordinates(model: mujoco.MjModel, geom: int, places: np.ndarray) -> np.nda
     return np.column_stack([across * repeat[0], 1 - down * repeat[1]])
 
 
-def _sphere(model: mujoco.MjModel, geom: int) -> Shape:
-    return trimesh.creation.uv_sphere(model.geom_size[geom, 0], count=[_SECTIONS // 2, _SECTIONS]), None
+def _round(make: Callable[[np.ndarray], trimesh.Trimesh]) -> Callable[[mujoco.MjModel, int], Shape]:
+    """Makes a shape without texture coordinates from the size of its geom (3,)."""
+    return lambda model, geom: (make(model.geom_size[geom]), None)
 
 
-def _ellipsoid(model: mujoco.MjModel, geom: int) -> Shape:
-    shape = trimesh.creation.uv_sphere(1.0, count=[_SECTIONS // 2, _SECTIONS])
-    shape.apply_scale(model.geom_size[geom])
-    return shape, None
-
-
-def _capsule(model: mujoco.MjModel, geom: int) -> Shape:
-    radius, half = model.geom_size[geom, :2]
-    return trimesh.creation.capsule(2 * half, radius, count=[_SECTIONS // 2, _SECTIONS]), None
-
-
-def _cylinder(model: mujoco.MjModel, geom: int) -> Shape:
-    radius, half = model.geom_size[geom, :2]
-    return trimesh.creation.cylinder(radius, 2 * half, sections=_SECTIONS), None
+def _ellipsoid(size: np.ndarray) -> trimesh.Trimesh:
+    return trimesh.creation.uv_sphere(1.0, count=_COUNT).apply_scale(size)
 
 
 def _mesh(model: mujoco.MjModel, geom: int) -> Shape:
@@ -188,9 +178,9 @@ def _mesh(model: mujoco.MjModel, geom: int) -> Shape:
 _SHAPES: dict[mujoco.mjtGeom, Callable[[mujoco.MjModel, int], Shape]] = {
     _Geom.mjGEOM_PLANE: _plane,
     _Geom.mjGEOM_BOX: _box,
-    _Geom.mjGEOM_SPHERE: _sphere,
-    _Geom.mjGEOM_ELLIPSOID: _ellipsoid,
-    _Geom.mjGEOM_CAPSULE: _capsule,
-    _Geom.mjGEOM_CYLINDER: _cylinder,
+    _Geom.mjGEOM_SPHERE: _round(lambda size: trimesh.creation.uv_sphere(size[0], count=_COUNT)),
+    _Geom.mjGEOM_ELLIPSOID: _round(_ellipsoid),
+    _Geom.mjGEOM_CAPSULE: _round(lambda size: trimesh.creation.capsule(2 * size[1], size[0], count=_COUNT)),
+    _Geom.mjGEOM_CYLINDER: _round(lambda size: trimesh.creation.cylinder(size[0], 2 * size[1], sections=_SECTIONS)),
     _Geom.mjGEOM_MESH: _mesh,
 }

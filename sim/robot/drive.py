@@ -167,17 +167,9 @@ def _back_off(robot: Robot, visits: Visits) -> None:
 def _go_straight(
     robot: Robot, settings: DriveSettings, rng: np.random.Generator, stop_m: float, mode: DriveMode, visits: Visits
 ) -> Segment:
-    """Drive straight until the length, a gap, the ranges, the bumper or a stall stops the robot, and take the samples.
-
-    Args:
-        robot: The robot, at rest.
-        settings: How fast and how far to drive, and when to sample.
-        rng: Decides at which gaps to stop, and how to continue.
-        stop_m: Distance to leave ahead of the body [m].
-        mode: Whether the segment continues the last one, and which side to search.
-        visits: What the robot had visited before this segment.
-    """
-    way, length_m, gap = _Way(robot, settings), _draw_length(settings, rng), 0
+    """Drive straight until the length, a gap, the ranges, the bumper or a stall stops the robot, ``stop_m`` [m] before
+    what is ahead of the body, and take the samples."""
+    path, length_m, gap = _Path(robot, settings), _draw_length(settings, rng), 0
     gaps, heed = _choose_gaps(settings, mode, stop_m, robot.body.radius_m)
     explores = settings.headings == "explore"
     # Short rays are enough to stop in time, and cheaper.
@@ -185,39 +177,32 @@ def _go_straight(
     reach_m = blind_m + stop_m + robot.body.radius_m + SEEN_M
     while True:
         clear_m = look(robot, reach_m) - stop_m
-        way.see(clear_m, blind_m)
-        for side in gaps.find(robot, way.travelled_m) if not gap else ():
-            if rng.uniform() < heed or (explores and is_staler_aside(robot, visits, side, way.travelled_m, stop_m)):
-                gap, length_m = side, min(length_m, way.travelled_m + way.speed**2 / (2 * ACCELERATION_MPS2))
-        rest_m = min(length_m - way.travelled_m, clear_m)
-        if ended := _why_stop(robot.bumped(), way, clear_m, rest_m):
+        path.see(clear_m, blind_m)
+        for side in gaps.find(robot, path.travelled_m) if not gap else ():
+            if rng.uniform() < heed or (explores and is_staler_aside(robot, visits, side, path.travelled_m, stop_m)):
+                gap, length_m = side, min(length_m, path.travelled_m + path.speed**2 / (2 * ACCELERATION_MPS2))
+        rest_m = min(length_m - path.travelled_m, clear_m)
+        if ended := _why_stop(robot.bumped(), path, clear_m, rest_m):
             break
-        way.drive_on(rest_m)
+        path.drive_on(rest_m)
     halt(robot)
-    samples = way.finish(ended)
+    samples = path.finish(ended)
     return Segment(
         state=np.array([sample.state for sample in samples]),
         wheel_angle=np.array([sample.wheel_angle for sample in samples]),
         time=np.array([sample.time for sample in samples]),
         continues=mode.continues,
         ended="gap" if ended == "length" and gap else ended,
-        dropped=len(way.samples) - len(samples) if ended in TOUCHED else 0,
+        dropped=len(path.samples) - len(samples) if ended in TOUCHED else 0,
         mode=_go_on(settings, rng, mode, ended, gap),
     )
 
 
-class _Way:
-    """The way driven in one segment, by the wheels, and the samples taken on it.
-
-    Attributes:
-        travelled_m: Its length [m].
-        speed: Commanded speed [m/s].
-        held_s: How long, until now, the wheels have turned at less than half that speed [s].
-        samples: Samples at even distances.
-    """
+class _Path:
+    """What was driven in one segment, by the wheels, and the samples taken at even distances: its length [m], the
+    commanded speed [m/s], and how long the wheels have turned at less than half that speed until now [s]."""
 
     def __init__(self, robot: Robot, settings: DriveSettings) -> None:
-        """Begin it with the robot at rest."""
         self._robot, self._settings, self._start = robot, settings, robot.wheel_angle()
         self.travelled_m = self.speed = self.held_s = self._slip_from_m = 0.0
         self._seen_m, self.samples = np.inf, [_sample(robot, 0.0)]
@@ -273,10 +258,10 @@ def _draw_length(settings: DriveSettings, rng: np.random.Generator) -> float:
     return rng.uniform(min(SHORTEST_M, settings.longest_m), settings.longest_m)
 
 
-def _why_stop(bumped: bool, way: _Way, clear_m: float, rest_m: float) -> Ended | None:
+def _why_stop(bumped: bool, path: _Path, clear_m: float, rest_m: float) -> Ended | None:
     if bumped:
         return "contact"
-    if way.held_s > STALL_S or way.slipped_m > SLIP_M:
+    if path.held_s > STALL_S or path.slipped_m > SLIP_M:
         return "stall"
     if rest_m < CLOSE_M:
         return "range" if clear_m < CLOSE_M else "length"

@@ -183,25 +183,22 @@ def _finish_ceiling(room: Room, lamps: list) -> None:
         fix(room, piece.__name__, piece, height - 0.1)
 
 
-Texture = np.ndarray
-
-
-def wooden_floor(rng: np.random.Generator) -> Texture:
+def wooden_floor(rng: np.random.Generator) -> np.ndarray:
     """Boards, lighter or darker."""
     return textures.wood(rng, FLOOR_PX, np.multiply((0.66, 0.47, 0.3), rng.uniform(0.75, 1.1)), 22)
 
 
-def carpet(rng: np.random.Generator) -> Texture:
+def carpet(rng: np.random.Generator) -> np.ndarray:
     """Grey fabric."""
     return textures.fabric(rng, FLOOR_PX, (0.42, 0.45, 0.5), (0.36, 0.4, 0.47))
 
 
-def tiled_floor(rng: np.random.Generator) -> Texture:
+def tiled_floor(rng: np.random.Generator) -> np.ndarray:
     """Tiles of two colours."""
     return textures.tile(rng, FLOOR_PX, (0.75, 0.7, 0.62), textures.muted(rng), (12, 16))
 
 
-def concrete(rng: np.random.Generator) -> Texture:
+def concrete(rng: np.random.Generator) -> np.ndarray:
     """Stained screed with cracks."""
     return textures.plaster(rng, FLOOR_PX, (0.55, 0.55, 0.53), stains=14, cracks=6)
 
@@ -224,7 +221,7 @@ class RoomPlan:
     size_m: tuple[float, float, float]
     finishes: tuple[Finish, ...]
     furnish: Callable[[Room], None]
-    floor: Callable[[np.random.Generator], Texture] = wooden_floor
+    floor: Callable[[np.random.Generator], np.ndarray] = wooden_floor
     finish_ceiling: Callable[[Room], None] = lamps_and_beams
     wooden_ceiling: bool = False
     panelled: bool = False

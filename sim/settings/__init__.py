@@ -9,7 +9,6 @@ from sim.settings.group import Group
 from sim.settings.robot import (
     CameraMountSettings,
     CameraSettings,
-    DeploymentMountSettings,
     DeploymentSettings,
     EncoderSettings,
     ImageFaultSettings,
@@ -18,46 +17,20 @@ from sim.settings.robot import (
     SensorName,
     TagCameraSettings,
 )
+from sim.settings.robot import DeploymentMountSettings as DeploymentMountSettings
 from sim.settings.world import (
     PLANE_CLEARANCE_M,
     PLANE_SIDE_M,
-    TURN_RATE_RPS,
     DriveSettings,
     GridSettings,
     LandmarksSettings,
     ObstaclesSettings,
-    RoomKind,
     RoomSettings,
-    RoomShape,
     WorldName,
 )
-
-__all__ = [
-    "NO_FAULTS",
-    "PLANE_CLEARANCE_M",
-    "PLANE_SIDE_M",
-    "TURN_RATE_RPS",
-    "CameraMountSettings",
-    "CameraSettings",
-    "DeploymentMountSettings",
-    "DeploymentSettings",
-    "DriveSettings",
-    "EncoderSettings",
-    "GridSettings",
-    "Group",
-    "ImageFaultSettings",
-    "LandmarksSettings",
-    "LidarSettings",
-    "ObstaclesSettings",
-    "RobotSettings",
-    "RoomKind",
-    "RoomSettings",
-    "RoomShape",
-    "SensorName",
-    "SimSettings",
-    "TagCameraSettings",
-    "WorldName",
-]
+from sim.settings.world import TURN_RATE_RPS as TURN_RATE_RPS
+from sim.settings.world import RoomKind as RoomKind
+from sim.settings.world import RoomShape as RoomShape
 
 LARGEST_GRID = 250_000_000
 """Most distances that a test grid in a plane holds: 1 GB."""
@@ -123,24 +96,20 @@ class SimSettings(Group):
 
     @model_validator(mode="after")
     def _only_a_room_is_seen(self) -> "SimSettings":
-        if self.world != "room" and self.tag_camera.mounted:
-            raise ValueError(f"tag_camera.mounted needs world room, and the world is {self.world}")
-        if self.tag_camera.mounted and self.room.mjcf is None and self.room.kind != "lab":
-            raise ValueError(f"tag_camera.mounted needs tags: room.kind lab has some, and {self.room.kind} has none")
-        if self.world != "room" and self.robot != RobotSettings():
-            raise ValueError(f"robot needs world room, and the world is {self.world}")
-        if self.world != "room" and self.grid.held_out:
-            raise ValueError(f"grid.held_out {self.grid.held_out} needs world room, and the world is {self.world}")
-        if self.world != "room" and self.deployment.drive_samples:
-            raise ValueError(
-                f"deployment.drive_samples {self.deployment.drive_samples} needs world room, and the world is "
-                f"{self.world}"
-            )
-        default = DriveSettings()
-        changed = [name for name in DRIVES_IN_ROOMS if getattr(self.drive, name) != getattr(default, name)]
-        if self.world != "room" and changed:
-            value = getattr(self.drive, changed[0])
-            raise ValueError(f"drive.{changed[0]} {value} needs world room, and the world is {self.world}")
+        if self.world == "room":
+            kind = self.room.kind
+            if self.tag_camera.mounted and self.room.mjcf is None and kind != "lab":
+                raise ValueError(f"tag_camera.mounted needs tags: room.kind lab has some, and {kind} has none")
+            return self
+        default = SimSettings.model_construct()
+        for name in NEED_A_ROOM:
+            group, _, field = name.partition(".")
+            value, usual = getattr(self, group), getattr(default, group)
+            if field:
+                value, usual = getattr(value, field), getattr(usual, field)
+            if value != usual:
+                shown = "" if isinstance(value, bool | Group) else f" {value}"
+                raise ValueError(f"{name}{shown} needs world room, and the world is {self.world}")
         return self
 
     @model_validator(mode="after")
@@ -164,8 +133,9 @@ class SimSettings(Group):
         return self
 
 
-DRIVES_IN_ROOMS = ("strategy", "lengths", "headings", "enter", "search", "arcs")
-"""Settings of the drive that a robot in a plane, which has no range finder, does not use."""
+NEED_A_ROOM = ("tag_camera.mounted", "robot", "grid.held_out", "deployment.drive_samples")
+NEED_A_ROOM += tuple(f"drive.{name}" for name in ("strategy", "lengths", "headings", "enter", "search", "arcs"))
+"""Settings without effect in a plane, where the robot has no range finder."""
 NO_FAULTS: dict[str, Group] = {
     "image_faults": ImageFaultSettings(),
     "camera_mount": CameraMountSettings(),

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from deepgps.evaluation.stored_alignment import read_alignment
 from sim.alignment import fit_alignment, fit_robust_alignment
 from sim.errors import InputError
+from sim.geometry import wrap
 
 points = np.random.default_rng(0).normal(size=(60, 2)) * [2.0, 1.0]
 
@@ -93,3 +94,10 @@ def test_the_command_that_places_a_map_can_be_copied_into_a_shell(tmp_path: Path
     run = tmp_path / "my run"
     with pytest.raises(InputError, match=re.escape(f"deepgps evaluate '{run}/scenario.yaml' --out '{run}' writes it")):
         read_alignment(run / "deepgps")
+
+
+def test_a_wrapped_angle_is_the_same_angle_and_within_half_a_turn() -> None:
+    angle = np.random.default_rng(0).uniform(-50.0, 50.0, 1000)
+    np.testing.assert_allclose(np.exp(1j * wrap(angle)), np.exp(1j * angle), atol=1e-12)
+    assert np.abs(wrap(angle)).max() <= np.pi
+    np.testing.assert_allclose(wrap(wrap(angle)), wrap(angle), atol=1e-12)

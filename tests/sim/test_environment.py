@@ -14,7 +14,7 @@ from dm_env import StepType, test_utils
 from sim.environment import RoomEnvironment
 from sim.errors import InputError, WorkError
 from sim.robot.model import CONTROL_PERIOD_S, wheel_speeds
-from sim.settings import CameraMountSettings, CameraSettings, EncoderSettings, RobotSettings, SimSettings
+from sim.settings import CameraSettings, RobotSettings, SimSettings
 from tests.sim.robot.test_own import EXAMPLE
 
 SETTINGS = SimSettings(camera=CameraSettings(rings=8, sectors=32, face_px=16))
@@ -74,28 +74,19 @@ def test_the_same_seed_gives_the_same_bytes() -> None:
     assert roll() == roll()
 
 
-@pytest.mark.parametrize("fault", ["slip_per_m", "step_noise", "dropout", "stuck_fraction"])
-def test_faults_that_are_drawn_for_a_whole_drive_are_refused(fault: str) -> None:
-    settings = SimSettings(encoder=EncoderSettings.model_validate({fault: 0.1}))
-    with pytest.raises(InputError, match=rf"encoder\.{fault} 0\.1 must be 0 in the environment: .* by sim.sensors"):
-        RoomEnvironment(settings, np.random.default_rng(0))
-
-
-def test_faults_of_the_camera_are_refused() -> None:
-    with pytest.raises(InputError, match="mount must keep its default: the environment's camera has no faults"):
-        RoomEnvironment(SimSettings(camera_mount=CameraMountSettings(roll_deg=1.0)), np.random.default_rng(0))
-
-
-@pytest.mark.parametrize("episode_s", [0.01, np.nan, np.inf])
-def test_an_episode_is_at_least_a_step_long_and_ends(episode_s: float) -> None:
-    with pytest.raises(InputError, match=rf"episode_s {episode_s} must be at least the length of a step, 0\.04 s, and"):
-        RoomEnvironment(SETTINGS, np.random.default_rng(0), episode_s=episode_s)
-
-
-@pytest.mark.parametrize("step_s", [0.0, 0.03, 0.1, np.nan, np.inf])
-def test_a_step_is_a_multiple_of_the_control_period(step_s: float) -> None:
-    with pytest.raises(InputError, match=rf"step_s {step_s} must be a multiple of the control period, 0\.04 s"):
-        RoomEnvironment(SETTINGS, np.random.default_rng(0), step_s=step_s)
+def test_drawn_faults_a_faulty_camera_and_impossible_times_are_refused() -> None:
+    wrong: list[tuple[dict, dict, str]] = [
+        ({"camera_mount": {"roll_deg": 1.0}}, {}, "camera_mount must keep its default")
+    ]
+    for fault in ("slip_per_m", "step_noise", "dropout", "stuck_fraction"):
+        wrong.append(({"encoder": {fault: 0.1}}, {}, rf"encoder\.{fault} 0\.1 must be 0 in the environment"))
+    for episode_s in (0.01, np.nan, np.inf):
+        wrong.append(({}, {"episode_s": episode_s}, rf"episode_s {episode_s} must be at least .* 0\.04 s, and finite"))
+    for step_s in (0.0, 0.03, 0.1, np.nan, np.inf):
+        wrong.append(({}, {"step_s": step_s}, rf"step_s {step_s} must be a multiple of the control period, 0\.04 s"))
+    for changes, times, message in wrong:
+        with pytest.raises(InputError, match=message):
+            RoomEnvironment(SimSettings.model_validate(changes), np.random.default_rng(0), **times)
 
 
 def test_a_long_step_is_as_many_short_ones(environment: RoomEnvironment) -> None:

@@ -1,7 +1,6 @@
 """RNG streams: each purpose has its own, which depends on the seed and its name alone."""
 
 import numpy as np
-import pytest
 
 from sim.rng import derive_seed, split, stream
 
@@ -24,6 +23,6 @@ def test_a_part_of_a_stream_depends_on_its_name_and_not_on_what_was_drawn():
     assert not np.isin(split(stream(4, "encoder"), "slip").random(5), before).any()
 
 
-@pytest.mark.parametrize(("name", "first"), [(("drive",), 1913705580), (("camera", "noise"), 3619058549)])
-def test_the_numbers_of_a_stream_are_those_of_older_recordings(name: tuple[str, ...], first: int):
-    assert int(stream(0, *name).integers(2**32)) == first
+def test_the_numbers_of_a_stream_are_those_of_older_recordings():
+    for name, first in ((("drive",), 1913705580), (("camera", "noise"), 3619058549)):
+        assert int(stream(0, *name).integers(2**32)) == first

@@ -4,17 +4,16 @@ A fitting's frame has its origin on the ceiling, z up; everything hangs below z 
 that its fitting covers on the ceiling as (along x, along y) [m].
 """
 
-import mujoco
 import numpy as np
 
 from sim.rooms.furniture import textures
-from sim.rooms.furniture.primitives import Look, ball, box, paint, paper, pole, turned
+from sim.rooms.furniture.primitives import Body, Look, Rng, ball, box, paint, paper, pole, turned
 
 Cover = tuple[float, float]
 """Extent along x and y on the ceiling [m]."""
 
 
-def pendant(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Cover:
+def pendant(body: Body, rng: Rng, look: Look) -> Cover:
     """A hanging lamp with a coloured shade."""
     drop, radius = rng.uniform(0.35, 0.6), rng.uniform(0.16, 0.28)
     shade = paint(look.spec, textures.vivid(rng), glow=0.25)
@@ -24,7 +23,7 @@ def pendant(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Cover
     return 2 * radius, 2 * radius
 
 
-def globe(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Cover:
+def globe(body: Body, rng: Rng, look: Look) -> Cover:
     """A glass globe on a short rod."""
     radius, drop = rng.uniform(0.13, 0.2), rng.uniform(0.2, 0.4)
     box(body, (0, 0, -drop / 2), (0.025, 0.025, drop), look.metal)
@@ -32,7 +31,7 @@ def globe(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Cover:
     return 2 * radius, 2 * radius
 
 
-def dish(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Cover:
+def dish(body: Body, rng: Rng, look: Look) -> Cover:
     """A flat round lamp."""
     radius = rng.uniform(0.2, 0.32)
     pole(body, (0, 0, -0.04), radius, 0.08, look.metal)
@@ -40,7 +39,7 @@ def dish(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Cover:
     return 2 * radius, 2 * radius
 
 
-def tube(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Cover:
+def tube(body: Body, rng: Rng, look: Look) -> Cover:
     """A fluorescent lamp with two tubes, along x or y."""
     length = rng.uniform(1.1, 1.5)
     along = rng.random() < 0.5
@@ -55,7 +54,7 @@ def tube(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Cover:
     return size(length, 0.24, 0)[:2]
 
 
-def spots(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Cover:
+def spots(body: Body, rng: Rng, look: Look) -> Cover:
     """A rail with three spot lamps that point in different directions."""
     box(body, (0, 0, -0.03), (1.0, 0.05, 0.04), look.black)
     for x in (-0.38, rng.uniform(-0.15, 0.15), 0.38):
@@ -65,7 +64,7 @@ def spots(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Cover:
     return 1.0, 0.25
 
 
-def chandelier(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Cover:
+def chandelier(body: Body, rng: Rng, look: Look) -> Cover:
     """Crossed arms with a candle at each end."""
     drop, reach = rng.uniform(0.35, 0.5), rng.uniform(0.3, 0.4)
     box(body, (0, 0, -drop / 2), (0.03, 0.03, drop), look.metal)
@@ -77,7 +76,7 @@ def chandelier(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Co
     return 2 * reach, 2 * reach
 
 
-def fan(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Cover:
+def fan(body: Body, rng: Rng, look: Look) -> Cover:
     """A ceiling fan with four or five blades."""
     drop, reach = 0.28, rng.uniform(0.5, 0.62)
     box(body, (0, 0, -drop / 2), (0.03, 0.03, drop), look.metal)
@@ -89,7 +88,7 @@ def fan(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Cover:
     return 2 * reach, 2 * reach
 
 
-def vent(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Cover:
+def vent(body: Body, rng: Rng, look: Look) -> Cover:
     """A grille of slats."""
     width, depth = rng.uniform(0.3, 0.7), rng.uniform(0.25, 0.4)
     slats = paper(look.spec, textures.fins(rng, (64, 64), (0.55, 0.56, 0.58), int(rng.integers(5, 10))))
@@ -97,14 +96,14 @@ def vent(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Cover:
     return width, depth
 
 
-def smoke_detector(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Cover:
+def smoke_detector(body: Body, rng: Rng, look: Look) -> Cover:
     """A small white disc with a red light."""
     pole(body, (0, 0, -0.025), 0.07, 0.05, look.white)
     box(body, (0.04, 0, -0.052), (0.02, 0.02, 0.01), paint(look.spec, (0.9, 0.1, 0.1), glow=0.8))
     return 0.14, 0.14
 
 
-def hatch(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Cover:
+def hatch(body: Body, rng: Rng, look: Look) -> Cover:
     """A framed trapdoor to the attic."""
     width, depth = rng.uniform(0.6, 0.8), rng.uniform(0.6, 1.0)
     box(body, (0, 0, -0.01), (width, depth, 0.02), look.wood)
@@ -112,21 +111,21 @@ def hatch(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Cover:
     return width, depth
 
 
-def panel_lamp(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, side_m: float) -> Cover:
+def panel_lamp(body: Body, rng: Rng, look: Look, side_m: float) -> Cover:
     """A square lamp of the size of a panel of the ceiling."""
     box(body, (0, 0, -0.01), (side_m, side_m, 0.02), look.white)
     box(body, (0, 0, -0.018), (side_m - 0.06, side_m - 0.06, 0.02), look.glow)
     return side_m, side_m
 
 
-def beam(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, size: tuple[float, float]) -> Cover:
+def beam(body: Body, rng: Rng, look: Look, size: tuple[float, float]) -> Cover:
     """A wooden beam; ``size`` is its extent along x and y [m]."""
     tall = rng.uniform(0.12, 0.2)
     box(body, (0, 0, -tall / 2), (*size, tall), look.dark_wood)
     return size
 
 
-def duct(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, size: tuple[float, float]) -> Cover:
+def duct(body: Body, rng: Rng, look: Look, size: tuple[float, float]) -> Cover:
     """A sheet-metal air duct; ``size`` is its extent along x and y [m]."""
     tall = rng.uniform(0.22, 0.32)
     box(body, (0, 0, -tall / 2 - 0.03), (*size, tall), look.metal)

@@ -4,10 +4,10 @@ import mujoco
 import numpy as np
 
 from sim.rooms.furniture import textures
-from sim.rooms.furniture.primitives import Footprint, Look, ball, block, box, paint, paper, pole, turned
+from sim.rooms.furniture.primitives import Body, Footprint, Look, Rng, ball, block, box, paint, paper, pole, turned
 
 
-def rug(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, size: tuple[float, float]) -> Footprint:
+def rug(body: Body, rng: Rng, look: Look, size: tuple[float, float]) -> Footprint:
     """A thin rug that collides with nothing; ``size`` is its extent along x and y [m]."""
     weave = paper(
         look.spec, textures.carpet(rng, (96, 144), textures.muted(rng), textures.vivid(rng), textures.muted(rng))
@@ -16,7 +16,7 @@ def rug(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, size: tuple[
     return Footprint(*size, 0.0)
 
 
-def floor_lamp(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Footprint:
+def floor_lamp(body: Body, rng: Rng, look: Look) -> Footprint:
     """A lamp on a pole with a glowing shade."""
     height = rng.uniform(1.5, 1.75)
     pole(body, (0, 0, 0.015), 0.15, 0.03, look.black, solid=True)
@@ -25,7 +25,7 @@ def floor_lamp(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Fo
     return Footprint(0.4, 0.4, height + 0.14)
 
 
-def plant(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Footprint:
+def plant(body: Body, rng: Rng, look: Look) -> Footprint:
     """A potted plant: a bush, or a small palm with drooping leaves."""
     pot = paint(look.spec, 0.7 * textures.vivid(rng))
     pole(body, (0, 0, 0.18), 0.17, 0.36, pot, solid=True)
@@ -46,7 +46,7 @@ def plant(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Footpri
     return Footprint(0.64, 0.64, 0.36 + height)
 
 
-def coat_stand(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Footprint:
+def coat_stand(body: Body, rng: Rng, look: Look) -> Footprint:
     """A stand with two coats on it."""
     pole(body, (0, 0, 0.02), 0.19, 0.04, look.dark_wood, solid=True)
     box(body, (0, 0, 0.9), (0.05, 0.05, 1.8), look.dark_wood, solid=True)
@@ -57,7 +57,7 @@ def coat_stand(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Fo
     return Footprint(0.58, 0.58, 1.8)
 
 
-def barrel(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Footprint:
+def barrel(body: Body, rng: Rng, look: Look) -> Footprint:
     """A steel drum."""
     colour = paint(look.spec, 0.8 * textures.vivid(rng))
     pole(body, (0, 0, 0.44), 0.29, 0.88, colour, solid=True)
@@ -65,7 +65,7 @@ def barrel(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Footpr
     return Footprint(0.6, 0.6, 0.88)
 
 
-def ladder(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Footprint:
+def ladder(body: Body, rng: Rng, look: Look) -> Footprint:
     """A ladder that leans against the wall behind it."""
     height = rng.uniform(1.9, 2.2)
     lean = turned(-0.13, (1.0, 0.0, 0.0))
@@ -78,7 +78,7 @@ def ladder(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Footpr
     return Footprint(0.46, 0.32, height)
 
 
-def crates(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Footprint:
+def crates(body: Body, rng: Rng, look: Look) -> Footprint:
     """Two boxes stacked slightly askew."""
     card = paint(look.spec, (0.66, 0.5, 0.33))
     box(body, (0, 0, 0.22), (0.56, 0.46, 0.44), card, solid=True)

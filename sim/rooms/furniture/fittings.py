@@ -4,17 +4,16 @@ A fitting's frame is on its wall: x along the wall, z up from the floor, the roo
 around x = 0 and returns the rectangle that the fitting covers as (width, bottom, top) [m].
 """
 
-import mujoco
 import numpy as np
 
 from sim.rooms.furniture import pictures, textures
-from sim.rooms.furniture.primitives import WOODS, Look, block, box, paint, paper, pole
+from sim.rooms.furniture.primitives import WOODS, Body, Look, Rng, block, box, paint, paper, pole
 
 Cover = tuple[float, float, float]
 """Width, bottom and top of what a fitting covers on its wall [m]."""
 
 
-def door(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Cover:
+def door(body: Body, rng: Rng, look: Look) -> Cover:
     """A panelled door in its frame."""
     width, height = 1.04, 2.12
     leaf = textures.panels(rng, (192, 96), 0.3 + 0.6 * textures.muted(rng), (3, 2))
@@ -24,7 +23,7 @@ def door(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Cover:
     return width, 0.0, height
 
 
-def window(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_m: float) -> Cover:
+def window(body: Body, rng: Rng, look: Look, width_m: float) -> Cover:
     """A window with a view through glazing bars, and a sill."""
     low, high = 0.9, rng.uniform(2.05, 2.25)
     bars = int(rng.integers(1, 3))
@@ -35,7 +34,7 @@ def window(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_m: 
     return width_m + 0.1, low - 0.04, high
 
 
-def curtains(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_m: float, top_m: float) -> Cover:
+def curtains(body: Body, rng: Rng, look: Look, width_m: float, top_m: float) -> Cover:
     """A pair of curtains on a rod, drawn aside by uneven widths."""
     cloth = paper(look.spec, textures.folds(rng, (128, 64), textures.muted(rng), textures.vivid(rng)))
     rod_top, outer = top_m + 0.1, width_m / 2 + 0.3
@@ -47,9 +46,7 @@ def curtains(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_m
     return 2 * outer + 0.15, 0.5, rod_top + 0.04
 
 
-def dressed_window(
-    body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_m: float, curtained: bool = True
-) -> Cover:
+def dressed_window(body: Body, rng: Rng, look: Look, width_m: float, curtained: bool = True) -> Cover:
     """A window with or without curtains, and often a radiator below."""
     covers = [window(body, rng, look, width_m)]
     if curtained:
@@ -60,7 +57,7 @@ def dressed_window(
     return max(widths), min(bottoms), max(tops)
 
 
-def radiator(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_m: float) -> Cover:
+def radiator(body: Body, rng: Rng, look: Look, width_m: float) -> Cover:
     """A finned radiator with its pipe."""
     ribs = paper(look.spec, textures.fins(rng, (32, 128), (0.93, 0.92, 0.9), int(width_m / 0.07)))
     box(body, (0, -0.07, 0.43), (width_m, 0.1, 0.58), ribs)
@@ -69,7 +66,7 @@ def radiator(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_m
     return width_m + 0.1, 0.0, 0.74
 
 
-def picture(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, z: float, size: tuple[float, float]) -> Cover:
+def picture(body: Body, rng: Rng, look: Look, z: float, size: tuple[float, float]) -> Cover:
     """A framed painting, a different one each time."""
     width, tall = size
     image = pictures.painting(rng, (96, int(np.clip(96 * width / tall, 48, 192))))
@@ -78,7 +75,7 @@ def picture(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, z: float
     return width, z - tall / 2, z + tall / 2
 
 
-def mirror(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Cover:
+def mirror(body: Body, rng: Rng, look: Look) -> Cover:
     """A tall mirror: pale glass with a slanting highlight."""
     glass = paper(look.spec, textures.plaster(rng, (96, 48), (0.72, 0.8, 0.84), stains=0, cracks=0, depth=0.25))
     width, low, high = rng.uniform(0.5, 0.7), 0.6, rng.uniform(1.75, 1.95)
@@ -87,7 +84,7 @@ def mirror(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Cover:
     return width, low, high
 
 
-def whiteboard(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Cover:
+def whiteboard(body: Body, rng: Rng, look: Look) -> Cover:
     """A whiteboard with writing and a pen tray."""
     width, low, high = rng.uniform(1.4, 1.9), 0.95, 1.95
     board = paper(look.spec, pictures.sheet(rng, (96, 160)))
@@ -97,7 +94,7 @@ def whiteboard(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Co
     return width, low - 0.02, high
 
 
-def tool_wall(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_m: float = 1.5) -> Cover:
+def tool_wall(body: Body, rng: Rng, look: Look, width_m: float = 1.5) -> Cover:
     """A board with tools hanging on it."""
     low, high = 1.2, 2.05
     board = paper(look.spec, pictures.pegboard(rng, (96, int(96 * width_m / (high - low)))))
@@ -105,7 +102,7 @@ def tool_wall(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_
     return width_m, low, high
 
 
-def clock(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Cover:
+def clock(body: Body, rng: Rng, look: Look) -> Cover:
     """A wall clock."""
     size, z = rng.uniform(0.28, 0.38), rng.uniform(1.85, 2.05)
     dial = paper(look.spec, pictures.clock_face(rng, (64, 64)))
@@ -113,7 +110,7 @@ def clock(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Cover:
     return size, z - size / 2, z + size / 2
 
 
-def wall_shelf(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_m: float = 0.9) -> Cover:
+def wall_shelf(body: Body, rng: Rng, look: Look, width_m: float = 0.9) -> Cover:
     """A board on the wall with books and a jar on it."""
     z = rng.uniform(1.45, 1.75)
     box(body, (0, -0.12, z), (width_m, 0.24, 0.03), look.wood, solid=True)
@@ -124,7 +121,7 @@ def wall_shelf(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width
     return width_m, z - 0.02, z + 0.27
 
 
-def cooler(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Cover:
+def cooler(body: Body, rng: Rng, look: Look) -> Cover:
     """An air conditioner high on the wall."""
     width, z = rng.uniform(0.75, 0.95), 2.15
     slats = paper(look.spec, textures.fins(rng, (64, 32), (0.9, 0.91, 0.92), 7).transpose(1, 0, 2))
@@ -133,7 +130,7 @@ def cooler(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Cover:
     return width, z - 0.14, z + 0.14
 
 
-def roller_door(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Cover:
+def roller_door(body: Body, rng: Rng, look: Look) -> Cover:
     """A wide door of slats that rolls up."""
     width, height = 2.2, 2.2
     slats = paper(look.spec, textures.fins(rng, (96, 64), 0.4 + 0.5 * textures.muted(rng), 14).transpose(1, 0, 2))
@@ -144,7 +141,7 @@ def roller_door(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> C
     return width + 0.16, 0.0, height + 0.21
 
 
-def extinguisher(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Cover:
+def extinguisher(body: Body, rng: Rng, look: Look) -> Cover:
     """A red fire extinguisher below its sign."""
     red = paint(look.spec, (0.8, 0.1, 0.08))
     pole(body, (0, -0.1, 0.95), 0.08, 0.45, red)

@@ -14,6 +14,7 @@ from sim.rooms.furniture.textures import Colour
 
 VISUAL_GROUP = 2
 COLLISION_GROUP = 3
+Body, Rng = mujoco.MjsBody, np.random.Generator
 Point = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 UPRIGHT: Quaternion = (1.0, 0.0, 0.0, 0.0)
@@ -96,14 +97,7 @@ def paper(spec: mujoco.MjSpec, image: np.ndarray, glow: float = 0.0) -> str:
     return name
 
 
-def box(
-    body: mujoco.MjsBody,
-    middle: Point,
-    size: Point,
-    material: str,
-    solid: bool = False,
-    quat: Quaternion = UPRIGHT,
-) -> None:
+def box(body: Body, middle: Point, size: Point, material: str, solid: bool = False, quat: Quaternion = UPRIGHT) -> None:
     """Draw a box of full ``size`` [m]; a solid one collides as well."""
     half = tuple(side / 2 for side in size)
     _draw(body, mujoco.mjtGeom.mjGEOM_BOX, middle, half, material, quat)
@@ -111,25 +105,13 @@ def box(
         block(body, middle, size, quat)
 
 
-def block(
-    body: mujoco.MjsBody,
-    middle: Point,
-    size: Point,
-    quat: Quaternion = UPRIGHT,
-) -> None:
+def block(body: Body, middle: Point, size: Point, quat: Quaternion = UPRIGHT) -> None:
     """Add a box of full ``size`` [m] that collides and is not drawn."""
     half = tuple(side / 2 for side in size)
     _collide(body, mujoco.mjtGeom.mjGEOM_BOX, middle, half, quat)
 
 
-def pole(
-    body: mujoco.MjsBody,
-    middle: Point,
-    radius_m: float,
-    height_m: float,
-    material: str,
-    solid: bool = False,
-) -> None:
+def pole(body: Body, middle: Point, radius_m: float, height_m: float, material: str, solid: bool = False) -> None:
     """Draw an upright cylinder; a solid one collides as well."""
     size = (radius_m, height_m / 2, 0.0)
     _draw(body, mujoco.mjtGeom.mjGEOM_CYLINDER, middle, size, material)
@@ -137,12 +119,12 @@ def pole(
         _collide(body, mujoco.mjtGeom.mjGEOM_CYLINDER, middle, size, UPRIGHT)
 
 
-def ball(body: mujoco.MjsBody, middle: Point, radii: tuple[float, float, float], material: str) -> None:
+def ball(body: Body, middle: Point, radii: tuple[float, float, float], material: str) -> None:
     """Draw an ellipsoid; used rarely because it is expensive to render."""
     _draw(body, mujoco.mjtGeom.mjGEOM_ELLIPSOID, middle, radii, material)
 
 
-def legs(body: mujoco.MjsBody, width_m: float, depth_m: float, top_m: float, side_m: float, material: str) -> None:
+def legs(body: Body, width_m: float, depth_m: float, top_m: float, side_m: float, material: str) -> None:
     """Draw four legs under the corners of a ``width_m`` x ``depth_m`` plate at height ``top_m``; they collide."""
     x, y = (width_m - side_m) / 2, (depth_m - side_m) / 2
     for at in ((-x, -y), (x, -y), (-x, y), (x, y)):
@@ -156,16 +138,8 @@ def turned(angle_rad: float, axis: tuple[float, float, float] = (0.0, 0.0, 1.0))
 
 
 def _draw(body, shape, middle, size, material, quat=(1.0, 0.0, 0.0, 0.0)) -> None:
-    body.add_geom(
-        type=shape,
-        pos=middle,
-        size=(*size, 0.0, 0.0)[:3],
-        quat=quat,
-        material=material,
-        contype=0,
-        conaffinity=0,
-        group=VISUAL_GROUP,
-    )
+    size, unseen = (*size, 0.0, 0.0)[:3], {"contype": 0, "conaffinity": 0}
+    body.add_geom(type=shape, pos=middle, size=size, quat=quat, material=material, group=VISUAL_GROUP, **unseen)
 
 
 def _collide(body, shape, middle, size, quat) -> None:

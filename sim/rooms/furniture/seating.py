@@ -1,13 +1,10 @@
 """Furniture to sit and lie on, and tables and worktops: sofa, chairs, bed, dining and coffee table, desk, counter."""
 
-import mujoco
-import numpy as np
-
 from sim.rooms.furniture import pictures, textures
-from sim.rooms.furniture.primitives import Footprint, Look, ball, block, box, legs, paper, pole, turned
+from sim.rooms.furniture.primitives import Body, Footprint, Look, Rng, ball, block, box, legs, paper, pole, turned
 
 
-def sofa(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_m: float = 2.1) -> Footprint:
+def sofa(body: Body, rng: Rng, look: Look, width_m: float = 2.1) -> Footprint:
     """A sofa with two or three seats, arms and a cushion at each end."""
     depth, arm, seat_top = 0.9, 0.2, 0.43
     inner = width_m - 2 * arm
@@ -28,7 +25,7 @@ def sofa(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_m: fl
     return Footprint(width_m, depth, back_top, front_m=0.45)
 
 
-def armchair(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Footprint:
+def armchair(body: Body, rng: Rng, look: Look) -> Footprint:
     """A padded chair with arms."""
     width, depth = rng.uniform(0.8, 0.9), 0.85
     box(body, (0, -0.05, 0.26), (width - 0.3, depth - 0.15, 0.36), look.second_fabric)
@@ -41,7 +38,7 @@ def armchair(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Foot
     return Footprint(width, depth, 0.98, front_m=0.35)
 
 
-def chair(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Footprint:
+def chair(body: Body, rng: Rng, look: Look) -> Footprint:
     """A chair with a straight back; stretchers join its legs on all sides, so that no robot drives under the seat."""
     width, depth, back_top = 0.44, 0.46, rng.uniform(0.86, 0.98)
     wood = look.wood
@@ -56,7 +53,7 @@ def chair(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Footpri
     return Footprint(width, depth, back_top)
 
 
-def office_chair(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Footprint:
+def office_chair(body: Body, rng: Rng, look: Look) -> Footprint:
     """A swivel chair on a star-shaped base with castors."""
     back_top = rng.uniform(0.95, 1.15)
     for angle in (0.3, 1.35, 2.4):
@@ -68,7 +65,7 @@ def office_chair(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> 
     return Footprint(0.58, 0.58, back_top)
 
 
-def stool(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Footprint:
+def stool(body: Body, rng: Rng, look: Look) -> Footprint:
     """A round stool on one foot."""
     height = rng.uniform(0.6, 0.7)
     pole(body, (0, 0, 0.015), 0.18, 0.03, look.metal, solid=True)
@@ -77,7 +74,7 @@ def stool(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Footpri
     return Footprint(0.36, 0.36, height)
 
 
-def bed(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_m: float = 1.6) -> Footprint:
+def bed(body: Body, rng: Rng, look: Look, width_m: float = 1.6) -> Footprint:
     """A bed with headboard, footboard, mattress, pillows and a duvet folded back at the head."""
     length, head_top = 2.08, rng.uniform(0.95, 1.25)
     box(body, (0, 0, 0.2), (width_m, length - 0.1, 0.24), look.wood)
@@ -100,9 +97,7 @@ KNEES_M = 0.18
 """Distance from the middle of a desk to the middle of its knee space [m]."""
 
 
-def dining_table(
-    body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_m: float = 1.5, depth_m: float = 0.85
-) -> Footprint:
+def dining_table(body: Body, rng: Rng, look: Look, width_m: float = 1.5, depth_m: float = 0.85) -> Footprint:
     """A table on four legs, with a bowl of fruit."""
     box(body, (0, 0, TABLE_TOP_M - 0.02), (width_m, depth_m, 0.04), look.wood, solid=True)
     legs(body, width_m - 0.06, depth_m - 0.06, TABLE_TOP_M - 0.04, 0.07, look.wood)
@@ -112,7 +107,7 @@ def dining_table(
     return Footprint(width_m, depth_m, TABLE_TOP_M)
 
 
-def coffee_table(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Footprint:
+def coffee_table(body: Body, rng: Rng, look: Look) -> Footprint:
     """A low table with a book on it and, between its legs, a shelf too low to drive under."""
     width, depth, top = rng.uniform(0.9, 1.15), rng.uniform(0.5, 0.6), 0.42
     box(body, (0, 0, top - 0.02), (width, depth, 0.04), look.dark_wood, solid=True)
@@ -122,7 +117,7 @@ def coffee_table(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> 
     return Footprint(width, depth, top)
 
 
-def bedside_table(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Footprint:
+def bedside_table(body: Body, rng: Rng, look: Look) -> Footprint:
     """A small chest of two drawers with a lamp."""
     width, depth, top = 0.46, 0.4, rng.uniform(0.48, 0.58)
     box(body, (0, 0, top / 2), (width, depth, top), look.dark_wood, solid=True)
@@ -133,7 +128,7 @@ def bedside_table(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) ->
     return Footprint(width, depth, top + 0.44)
 
 
-def desk(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_m: float = 1.4, side: int = 1) -> Footprint:
+def desk(body: Body, rng: Rng, look: Look, width_m: float = 1.4, side: int = 1) -> Footprint:
     """A desk with a drawer pedestal on one side, 1 or -1 along x, knee space on the other, and a computer."""
     depth, top = 0.7, 0.74
     box(body, (0, 0, top - 0.02), (width_m, depth, 0.04), look.wood, solid=True)
@@ -144,7 +139,7 @@ def desk(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_m: fl
     return Footprint(width_m, depth, top + 0.5, front_m=0.35)
 
 
-def workbench(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_m: float = 1.8) -> Footprint:
+def workbench(body: Body, rng: Rng, look: Look, width_m: float = 1.8) -> Footprint:
     """A heavy bench with a vice, a lower shelf and a tool box on it."""
     depth, top = 0.7, 0.88
     box(body, (0, 0, top - 0.04), (width_m, depth, 0.08), look.wood, solid=True)
@@ -157,7 +152,7 @@ def workbench(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_
     return Footprint(width_m, depth, top + 0.26, front_m=0.6)
 
 
-def counter(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_m: float = 2.4) -> Footprint:
+def counter(body: Body, rng: Rng, look: Look, width_m: float = 2.4) -> Footprint:
     """A kitchen counter with wall cupboards, sink, hob and hood."""
     depth, top, gap = 0.62, 0.9, 0.006
     box(body, (0, 0.02, 0.45), (width_m, depth - 0.04, 0.82), look.cabinet)
@@ -178,7 +173,7 @@ def counter(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_m:
     return Footprint(width_m, depth, 2.15, front_m=0.7)
 
 
-def island(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Footprint:
+def island(body: Body, rng: Rng, look: Look) -> Footprint:
     """A free-standing kitchen block."""
     width, depth = rng.uniform(1.1, 1.5), 0.7
     box(body, (0, 0, 0.44), (width - 0.1, depth - 0.1, 0.88), look.cabinet, solid=True)
@@ -187,7 +182,7 @@ def island(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Footpr
     return Footprint(width, depth, 1.13)
 
 
-def _cupboards(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_m: float, hob_x: float) -> None:
+def _cupboards(body: Body, rng: Rng, look: Look, width_m: float, hob_x: float) -> None:
     side = 1.0 if hob_x < 0 else -1.0
     inner, outer = hob_x + side * 0.33, side * width_m / 2
     span, middle = abs(outer - inner), (inner + outer) / 2
@@ -199,7 +194,7 @@ def _cupboards(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width
         box(body, (x, -0.03, (1.4 + top) / 2), (span / doors - 0.02, 0.02, top - 1.44), look.wood)
 
 
-def _computer(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, x: float, top_m: float) -> None:
+def _computer(body: Body, rng: Rng, look: Look, x: float, top_m: float) -> None:
     lit = textures.framed(pictures.screen(rng, (64, 96)), (0.05, 0.05, 0.05), 0.06)
     wide = rng.uniform(0.5, 0.68)
     box(body, (x, 0.16, top_m + 0.3), (wide, 0.04, 0.36), paper(look.spec, lit, glow=0.5))

@@ -2,14 +2,13 @@
 
 import itertools
 
-import mujoco
 import numpy as np
 
 from sim.rooms.furniture import pictures, textures
-from sim.rooms.furniture.primitives import Footprint, Look, block, box, paper, pole
+from sim.rooms.furniture.primitives import Body, Footprint, Look, Rng, block, box, paper, pole
 
 
-def bookshelf(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_m: float = 1.0) -> Footprint:
+def bookshelf(body: Body, rng: Rng, look: Look, width_m: float = 1.0) -> Footprint:
     """An open bookcase full of books; each row of spines is one picture on one box."""
     depth, height, board = 0.32, rng.uniform(1.75, 2.15), 0.03
     wood = look.dark_wood if rng.random() < 0.5 else look.wood
@@ -28,7 +27,7 @@ def bookshelf(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_
     return Footprint(width_m, depth, height, front_m=0.4)
 
 
-def wardrobe(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_m: float = 1.5) -> Footprint:
+def wardrobe(body: Body, rng: Rng, look: Look, width_m: float = 1.5) -> Footprint:
     """A tall cupboard with two or three doors."""
     depth, height = 0.6, rng.uniform(2.0, 2.25)
     box(body, (0, 0.01, height / 2), (width_m, depth - 0.02, height), look.dark_wood)
@@ -42,7 +41,7 @@ def wardrobe(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_m
     return Footprint(width_m + 0.04, depth + 0.04, height + 0.05, front_m=0.6)
 
 
-def cabinet(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_m: float = 1.2) -> Footprint:
+def cabinet(body: Body, rng: Rng, look: Look, width_m: float = 1.2) -> Footprint:
     """A sideboard with doors, a vase and some books on it."""
     depth, height = 0.45, rng.uniform(0.8, 1.0)
     box(body, (0, 0.01, height / 2 + 0.03), (width_m, depth - 0.02, height - 0.06), look.wood)
@@ -63,7 +62,7 @@ def cabinet(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_m:
     return Footprint(width_m, depth, height + 0.28, front_m=0.45)
 
 
-def television(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Footprint:
+def television(body: Body, rng: Rng, look: Look) -> Footprint:
     """A television on a low bench."""
     width, depth, top, wide = rng.uniform(1.4, 1.8), 0.42, 0.5, rng.uniform(1.1, 1.3)
     tall = wide * 0.58
@@ -78,7 +77,7 @@ def television(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Fo
     return Footprint(width, depth, top + 0.1 + tall, front_m=0.4)
 
 
-def fridge(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Footprint:
+def fridge(body: Body, rng: Rng, look: Look) -> Footprint:
     """A fridge with a freezer below, and a note on its door."""
     width, depth, height = 0.62, 0.66, rng.uniform(1.75, 1.95)
     box(body, (0, 0.02, height / 2), (width, depth - 0.04, height), look.white, solid=True)
@@ -91,7 +90,7 @@ def fridge(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Footpr
     return Footprint(width, depth, height, front_m=0.7)
 
 
-def oven(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Footprint:
+def oven(body: Body, rng: Rng, look: Look) -> Footprint:
     """A tall cupboard with an oven and a microwave built in."""
     width, depth, height = 0.62, 0.62, rng.uniform(2.0, 2.15)
     box(body, (0, 0.02, height / 2), (width, depth - 0.04, height), look.cabinet, solid=True)
@@ -103,7 +102,7 @@ def oven(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Footprin
     return Footprint(width, depth, height, front_m=0.7)
 
 
-def shelving(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_m: float = 1.3) -> Footprint:
+def shelving(body: Body, rng: Rng, look: Look, width_m: float = 1.3) -> Footprint:
     """An open metal rack with crates and tins."""
     depth, height = 0.45, rng.uniform(1.8, 2.2)
     for x in (-1, 1):
@@ -123,7 +122,7 @@ def shelving(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_m
     return Footprint(width_m, depth, height, front_m=0.5)
 
 
-def filing_cabinet(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Footprint:
+def filing_cabinet(body: Body, rng: Rng, look: Look) -> Footprint:
     """A steel cabinet with four drawers."""
     width, depth, height = 0.5, 0.6, 1.32
     drawers = paper(look.spec, textures.drawers(rng, (128, 48), 0.4 + 0.4 * textures.muted(rng), 4))
@@ -133,7 +132,7 @@ def filing_cabinet(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -
     return Footprint(width, depth, height + 0.28, front_m=0.5)
 
 
-def tool_chest(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Footprint:
+def tool_chest(body: Body, rng: Rng, look: Look) -> Footprint:
     """A mechanic's painted chest of drawers on castors."""
     width, depth, height = 0.7, 0.5, rng.uniform(0.95, 1.15)
     drawers = paper(look.spec, textures.drawers(rng, (96, 64), textures.vivid(rng), 6))

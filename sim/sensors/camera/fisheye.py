@@ -7,38 +7,18 @@ image must not depend on the face in which something is drawn: there are no shad
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Self
 
 import cv2
 import mujoco
 import numpy as np
 
-from sim.rooms.spec import DRAWN_GROUPS, NEAR_M, PREFIX
+from sim.rooms.spec import PREFIX
 from sim.sensors.camera.lens import Lens, make_lens, polar_rays, round_rays
 from sim.sensors.camera.mount import CIRCLE_PX, tilt
-from sim.sensors.camera.offscreen import Offscreen
+from sim.sensors.camera.offscreen import UNSEEN, Face, Offscreen, aim, make_scene, update_scene
 from sim.settings import CameraMountSettings, CameraSettings
 
 _MARGIN_PX = 1  # bilinear sampling at a face's edge reads half a pixel beyond it
-
-
-@dataclass(frozen=True)
-class Face:
-    """One pinhole picture and its place in the strip of all of them.
-
-    Attributes:
-        axes: Rows right, up, forward in the camera's frame (3, 3).
-        window: Tangents of the angles of its edges: left, right, bottom, top (4,).
-        column: First column in the strip [px].
-        width: Width [px].
-        height: Height [px].
-    """
-
-    axes: np.ndarray
-    window: np.ndarray
-    column: int
-    width: int
-    height: int
 
 
 def make_faces(lens: Lens, face_px: int) -> list[Face]:
@@ -107,10 +87,8 @@ CAMERA_SITE = f"{PREFIX}camera"
 ON_THE_AXLE = CameraMountSettings()
 # Points read per face pixel along each axis: more points cost time without a measurable gain.
 _READ_DENSITY = 1.0
-UNSEEN = int(mujoco.mjtGeom.mjGEOM_NONE)
 Dress = Callable[[mujoco.MjvScene], None]
 """Changes a scene before it is drawn: its lights, or what is in it besides the model."""
-_OFF = ("mjRND_SHADOW", "mjRND_REFLECTION", "mjRND_FOG", "mjRND_HAZE")
 
 
 @dataclass(frozen=True)
@@ -122,7 +100,7 @@ class _Warp:
     shape: tuple[int, int]
 
 
-class Fisheye:
+class Fisheye(Offscreen):
     """The upward camera of one model; opens an OpenGL context, which belongs to the thread that opened it.
 
     Its optical axis is the z axis of the site ``robot/camera`` and azimuth zero its x axis. The robot's own geoms are
@@ -153,8 +131,7 @@ class Fisheye:
         rays = polar_rays(self._lens, camera.rings * finer, camera.sectors * finer, self._centre)
         self._polar = self._make_warp(rays, finer)
         self._round: dict[int, _Warp] = {}
-        self._screen = Offscreen(model, *_strip_size(self._faces))
-        self.renderer_string = self._screen.renderer_string
+        super().__init__(model, *_strip_size(self._faces))
 
     def polar(self, data: mujoco.MjData, lean: np.ndarray | None = None, dress: Dress | None = None) -> np.ndarray:
         """The polar image of the state ``data``: (rings, sectors, 3) uint8 RGB.
@@ -175,16 +152,6 @@ class Fisheye:
             self._round[size_px] = self._make_warp(round_rays(self._lens, size_px * finer, self._centre), finer)
         return _warp(self._draw(data, lean, dress), self._round[size_px])
 
-    def close(self) -> None:
-        """Free the OpenGL context; a second call does nothing."""
-        self._screen.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
     def _finer(self, pitch_rad: float) -> int:
         """Factor by which the faces are read finer than the image, so that each of their pixels counts."""
         return int(np.clip(np.ceil(_READ_DENSITY * pitch_rad * self._camera.face_px / 2), 1, 8))
@@ -196,7 +163,7 @@ class Fisheye:
 
     def _draw(self, data: mujoco.MjData, lean: np.ndarray | None, dress: Dress | None) -> np.ndarray:
         """Draw all faces; the strip's first row is the lowest."""
-        self._screen.begin()
+        self.begin()
         scene = self._scene
         turn = data.site_xmat[self._site].reshape(3, 3)
         position = data.site_xpos[self._site] + turn @ self._offset
@@ -216,8 +183,8 @@ class Fisheye:
                 geoms[index].type = kinds[index] if wanted[index] else UNSEEN
             shown = wanted
             aim(scene, face, position, turn)
-            mujoco.mjr_render(mujoco.MjrRect(face.column, 0, face.width, face.height), scene, self._screen.target)
-        return self._screen.read()
+            mujoco.mjr_render(mujoco.MjrRect(face.column, 0, face.width, face.height), scene, self.target)
+        return self.read()
 
     def _find_seen(self, data: mujoco.MjData, geoms: np.ndarray, position: np.ndarray, turn: np.ndarray) -> np.ndarray:
         """Mask (faces, geoms) of the geoms whose boxes reach into each face's pyramid, by its four planes.
@@ -234,21 +201,6 @@ class Fisheye:
         return inside & ~self._robot[geoms]
 
 
-def make_scene(model: mujoco.MjModel) -> tuple[mujoco.MjvScene, mujoco.MjvOption, mujoco.MjvCamera]:
-    """Make a scene of only the visual geoms."""
-    scene, option, view = mujoco.MjvScene(model, model.ngeom + 100), mujoco.MjvOption(), mujoco.MjvCamera()
-    for flag in _OFF:
-        scene.flags[getattr(mujoco.mjtRndFlag, flag)] = 0
-    keep = (mujoco.mjtVisFlag.mjVIS_TEXTURE, mujoco.mjtVisFlag.mjVIS_STATIC)
-    for flag in range(len(option.flags)):
-        option.flags[flag] = flag in keep
-    for group in range(len(option.geomgroup)):
-        option.geomgroup[group] = group in DRAWN_GROUPS
-    for other in (option.sitegroup, option.jointgroup, option.tendongroup, option.actuatorgroup):
-        other[:] = 0
-    return scene, option, view
-
-
 def _strip_size(faces: list[Face]) -> tuple[int, int]:
     return faces[-1].column + faces[-1].width, max(face.height for face in faces)
 
@@ -262,28 +214,6 @@ def _local_boxes(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
     half[plane, :2] = np.where(size > 0, size, 1e6)
     half[plane, 2] = 0.0
     return middle, half
-
-
-def update_scene(
-    model: mujoco.MjModel, data: mujoco.MjData, option: mujoco.MjvOption, view: mujoco.MjvCamera, scene: mujoco.MjvScene
-) -> None:
-    """Bring a scene to the state ``data``, with kinematics computed; the light that would turn with the view is off."""
-    mujoco.mj_camlight(model, data)  # kinematics leave the lamps without a place and a direction
-    mujoco.mjv_updateScene(model, data, option, None, view, mujoco.mjtCatBit.mjCAT_ALL, scene)
-    for light in scene.lights[: scene.nlight]:
-        if light.headlight:
-            light.diffuse = light.specular = np.zeros(3, np.float32)
-
-
-def aim(scene: mujoco.MjvScene, face: Face, position: np.ndarray, turn: np.ndarray) -> None:
-    """Point both eyes, which MuJoCo averages, at a face."""
-    left, right, bottom, top = face.window * NEAR_M
-    for eye in scene.camera:
-        eye.pos, eye.up, eye.forward = position, turn @ face.axes[1], turn @ face.axes[2]
-        eye.frustum_near = NEAR_M
-        eye.frustum_center, eye.frustum_width = (left + right) / 2, (right - left) / 2
-        eye.frustum_bottom, eye.frustum_top = bottom, top
-        eye.orthographic = 0
 
 
 def _warp(strip: np.ndarray, warp: _Warp) -> np.ndarray:

@@ -1,18 +1,42 @@
-"""Off-screen drawing: an OpenGL context and MuJoCo's buffer in it."""
+"""Off-screen drawing: an OpenGL context with MuJoCo's buffer in it, and scenes that are the same from each side."""
 
 import atexit
 import ctypes
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Self
 
 import mujoco
 import numpy as np
 
 from sim.errors import WorkError
+from sim.rooms.spec import DRAWN_GROUPS, NEAR_M
 from sim.sensors.camera import gl
+
+UNSEEN = int(mujoco.mjtGeom.mjGEOM_NONE)
+_OFF = ("mjRND_SHADOW", "mjRND_REFLECTION", "mjRND_FOG", "mjRND_HAZE")
+
+
+@dataclass(frozen=True)
+class Face:
+    """One pinhole picture and its place in the strip of all of them.
+
+    Attributes:
+        axes: Rows right, up, forward in the camera's frame (3, 3).
+        window: Tangents of the angles of its edges: left, right, bottom, top (4,).
+        column: First column in the strip [px].
+        width: Width [px].
+        height: Height [px].
+    """
+
+    axes: np.ndarray
+    window: np.ndarray
+    column: int
+    width: int
+    height: int
 
 
 class Offscreen:
-    """A buffer to draw in; it belongs to the thread that opened it.
+    """A buffer to draw in, the base of the cameras; it belongs to the thread that opened it.
 
     Attributes:
         target: MuJoCo's rendering context.
@@ -28,7 +52,7 @@ class Offscreen:
     """
 
     def __init__(self, model: mujoco.MjModel, width: int, height: int) -> None:
-        self._width, self._height = width, height
+        self._columns, self._rows = width, height
         self._gl: Any = gl.open_context(width, height)
         try:
             self.target = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50)
@@ -49,8 +73,8 @@ class Offscreen:
 
     def read(self) -> np.ndarray:
         """Read the picture: (height, width, 3) uint8 RGB, the lowest row first."""
-        drawn = np.empty((self._height, self._width, 3), np.uint8)
-        mujoco.mjr_readPixels(drawn, None, mujoco.MjrRect(0, 0, self._width, self._height), self.target)
+        drawn = np.empty((self._rows, self._columns, 3), np.uint8)
+        mujoco.mjr_readPixels(drawn, None, mujoco.MjrRect(0, 0, self._columns, self._rows), self.target)
         return drawn
 
     def close(self) -> None:
@@ -63,9 +87,52 @@ class Offscreen:
         self._gl = None
         atexit.unregister(self._close_at_exit)
 
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
     def _close_at_exit(self) -> None:
         try:
             self.close()
         except Exception:  # dm_control, imported after this was opened, has ended EGL first: RuntimeError or EGLError
             for owner in (self.target, self._gl):  # nothing is left to free, and collecting them would call the driver
                 ctypes.pythonapi.Py_IncRef(ctypes.py_object(owner))
+
+
+def make_scene(model: mujoco.MjModel) -> tuple[mujoco.MjvScene, mujoco.MjvOption, mujoco.MjvCamera]:
+    """Make a scene of only the visual geoms."""
+    scene, option, view = mujoco.MjvScene(model, model.ngeom + 100), mujoco.MjvOption(), mujoco.MjvCamera()
+    for flag in _OFF:
+        scene.flags[getattr(mujoco.mjtRndFlag, flag)] = 0
+    keep = (mujoco.mjtVisFlag.mjVIS_TEXTURE, mujoco.mjtVisFlag.mjVIS_STATIC)
+    for flag in range(len(option.flags)):
+        option.flags[flag] = flag in keep
+    for group in range(len(option.geomgroup)):
+        option.geomgroup[group] = group in DRAWN_GROUPS
+    for other in (option.sitegroup, option.jointgroup, option.tendongroup, option.actuatorgroup):
+        other[:] = 0
+    return scene, option, view
+
+
+def update_scene(
+    model: mujoco.MjModel, data: mujoco.MjData, option: mujoco.MjvOption, view: mujoco.MjvCamera, scene: mujoco.MjvScene
+) -> None:
+    """Bring a scene to the state ``data``, with kinematics computed; the light that would turn with the view is off."""
+    mujoco.mj_camlight(model, data)  # kinematics leave the lamps without a place and a direction
+    mujoco.mjv_updateScene(model, data, option, None, view, mujoco.mjtCatBit.mjCAT_ALL, scene)
+    for light in scene.lights[: scene.nlight]:
+        if light.headlight:
+            light.diffuse = light.specular = np.zeros(3, np.float32)
+
+
+def aim(scene: mujoco.MjvScene, face: Face, position: np.ndarray, turn: np.ndarray) -> None:
+    """Point both eyes, which MuJoCo averages, at a face."""
+    left, right, bottom, top = face.window * NEAR_M
+    for eye in scene.camera:
+        eye.pos, eye.up, eye.forward = position, turn @ face.axes[1], turn @ face.axes[2]
+        eye.frustum_near = NEAR_M
+        eye.frustum_center, eye.frustum_width = (left + right) / 2, (right - left) / 2
+        eye.frustum_bottom, eye.frustum_top = bottom, top
+        eye.orthographic = 0

@@ -4,15 +4,13 @@ Its frame is OpenCV's: x to the right, y down, z ahead. The principal point is t
 """
 
 from collections.abc import Callable
-from typing import Self
 
 import cv2
 import mujoco
 import numpy as np
 
 from sim.rooms.spec import PREFIX
-from sim.sensors.camera.fisheye import UNSEEN, Face, aim, make_scene, update_scene
-from sim.sensors.camera.offscreen import Offscreen
+from sim.sensors.camera.offscreen import UNSEEN, Face, Offscreen, aim, make_scene, update_scene
 from sim.sensors.catalog import Opened
 from sim.settings import SimSettings, TagCameraSettings
 
@@ -27,7 +25,7 @@ TURN = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Rotation from the camera's frame to its mount's, whose x axis points out and z up: right is -y, down -z, ahead x."""
 
 
-class TagCamera:
+class TagCamera(Offscreen):
     """The tag camera of one model; opens an OpenGL context, which belongs to the thread that opened it.
 
     The robot itself is not drawn.
@@ -49,30 +47,19 @@ class TagCamera:
         up = across * settings.height_px / settings.width_px
         window = np.array([-across, across, -up, up])
         self._face = Face(TURN.T * [[1.0], [-1.0], [1.0]], window, 0, settings.width_px, settings.height_px)
-        self._screen = Offscreen(model, settings.width_px, settings.height_px)
-        self.renderer_string = self._screen.renderer_string
+        super().__init__(model, settings.width_px, settings.height_px)
 
     def look(self, data: mujoco.MjData) -> np.ndarray:
         """The image of the state ``data``: (height_px, width_px) uint8, grey."""
-        self._screen.begin()
+        self.begin()
         scene, face = self._scene, self._face
         update_scene(self._model, data, self._option, self._view, scene)
         for geom in scene.geoms[: scene.ngeom]:
             if self._robot[geom.objid]:
                 geom.type = UNSEEN
         aim(scene, face, data.site_xpos[self._site], data.site_xmat[self._site].reshape(3, 3))
-        mujoco.mjr_render(mujoco.MjrRect(0, 0, face.width, face.height), scene, self._screen.target)
-        return cv2.cvtColor(np.ascontiguousarray(self._screen.read()[::-1]), cv2.COLOR_RGB2GRAY)
-
-    def close(self) -> None:
-        """Free the OpenGL context; a second call does nothing."""
-        self._screen.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
+        mujoco.mjr_render(mujoco.MjrRect(0, 0, face.width, face.height), scene, self.target)
+        return cv2.cvtColor(np.ascontiguousarray(self.read()[::-1]), cv2.COLOR_RGB2GRAY)
 
 
 def open_tag_camera(settings: SimSettings, scene: Callable[[], mujoco.MjModel]) -> Opened:

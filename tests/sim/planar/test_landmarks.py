@@ -21,9 +21,9 @@ from sim.settings import (
     EncoderSettings,
     GridSettings,
     LandmarksSettings,
-    LidarSettings,
     SimSettings,
 )
+from tests.helpers.recordings import quiet
 
 SETTINGS = SimSettings(
     world="landmarks",
@@ -33,10 +33,6 @@ SETTINGS = SimSettings(
     grid=GridSettings(spacing_m=0.25, headings=2),
 )
 TICK_M = 2 * np.pi * 0.033 / 65536
-
-
-def quiet(label: str, done: int, total: int) -> None:
-    pass
 
 
 @pytest.fixture(scope="module")
@@ -160,37 +156,31 @@ def test_where_no_heading_leads_far_enough_the_drive_ends_with_one_clear_line():
     assert steps >= 3 and np.cos(heading) + np.sin(heading) < 0
 
 
-@pytest.mark.parametrize("samples", [100, 5000])
-def test_the_drive_tells_how_far_it_is_whether_segments_or_samples_end_it(samples: int):
-    told, some = list[int](), SETTINGS.model_copy(update={"drive": DriveSettings(spacing_m=0.05, samples=samples)})
-    drive_segments(LandmarkWorld(some, 0), some, stream(0, "drive"), lambda _, done, total: told.append(done))
-    assert told == sorted(told) and told[0] < samples / 2 and told[-1] == samples
+def test_the_drive_tells_how_far_it_is_whether_segments_or_samples_end_it():
+    for samples in (100, 5000):
+        told, some = list[int](), SETTINGS.model_copy(update={"drive": DriveSettings(spacing_m=0.05, samples=samples)})
+        drive_segments(
+            LandmarkWorld(some, 0), some, stream(0, "drive"), lambda _, done, total, told=told: told.append(done)
+        )
+        assert told == sorted(told) and told[0] < samples / 2 and told[-1] == samples
 
 
-def test_the_papers_grid_has_128_positions_a_side_and_reaches_the_walls():
-    settings = SETTINGS.model_copy(update={"grid": GridSettings(spacing_m=0.015748, headings=1)})
-    grid = LandmarkWorld(settings, 0).lay_grid(settings.grid)
+def test_the_grid_reaches_the_walls_and_has_the_papers_128_positions_a_side():
+    grid = LandmarkWorld(SETTINGS, 0).lay_grid(GridSettings(spacing_m=0.015748, headings=1))
     assert grid.shape == (128 * 128, 1, 3)
     assert (grid[..., :2].min(), grid[..., :2].max()) == (-1.0, 1.0)
+    assert len(LandmarkWorld(SETTINGS, 0).lay_grid(GridSettings(spacing_m=1.0, headings=1))) == 9
 
 
-def test_a_coarse_grid_reaches_the_corners():
-    settings = SETTINGS.model_copy(update={"grid": GridSettings(spacing_m=1.0, headings=1)})
-    assert len(LandmarkWorld(settings, 0).lay_grid(settings.grid)) == 9
-
-
-@pytest.mark.parametrize(
-    ("world", "groups"),
-    [
-        ("landmarks", {"landmarks": LandmarksSettings(count=4096)}),
-        ("obstacles", {"lidar": LidarSettings(rays=4096)}),
-    ],
-)
-def test_a_test_grid_beyond_the_memory_is_refused_with_the_spacing_that_is_allowed(world, groups):
-    with pytest.raises(ValidationError, match=r"grid.spacing_m 0.005 m must be at least .* m in a square") as refused:
-        SimSettings(world=world, grid=GridSettings(spacing_m=0.005), **groups)
-    least_m = float(str(refused.value).partition("at least ")[2].split()[0])
-    allowed = SimSettings(world=world, grid=GridSettings(spacing_m=least_m), **groups)
-    if world == "landmarks":
-        positions = LandmarkWorld(allowed, 0).lay_grid(allowed.grid).size / 3
-        assert 0.9 < positions * allowed.landmarks.count / LARGEST_GRID <= 1.0
+def test_a_test_grid_beyond_the_memory_is_refused_with_the_spacing_that_is_allowed():
+    dense = {"world": "landmarks", "landmarks": {"count": 4096}, "grid": {"spacing_m": 0.005}}
+    for changes in ({}, {"world": "obstacles", "lidar": {"rays": 4096}}):
+        with pytest.raises(
+            ValidationError, match=r"grid.spacing_m 0.005 m must be at least .* m in a square"
+        ) as refused:
+            SimSettings.model_validate(dense | changes)
+        least_m = float(str(refused.value).partition("at least ")[2].split()[0])
+        SimSettings.model_validate(dense | changes | {"grid": {"spacing_m": least_m}})
+        if not changes:
+            positions = LandmarkWorld(SETTINGS, 0).lay_grid(GridSettings(spacing_m=least_m)).size / 3
+            assert 0.9 < positions * 4096 / LARGEST_GRID <= 1.0

@@ -13,6 +13,7 @@ from sim.planar.drive import collect
 from sim.planar.worlds import PASSAGE, LidarWorld, place_obstacles
 from sim.recording.format import Truth, check_recording, open_recording, open_truth
 from sim.settings import DriveSettings, GridSettings, LidarSettings, ObstaclesSettings, SimSettings
+from tests.helpers.recordings import quiet
 
 SETTINGS = SimSettings(
     world="obstacles",
@@ -21,10 +22,6 @@ SETTINGS = SimSettings(
     grid=GridSettings(spacing_m=0.2, headings=3),
 )
 WORLD = LidarWorld(SETTINGS, 3)
-
-
-def quiet(label: str, done: int, total: int) -> None:
-    pass
 
 
 def edges_of(world: LidarWorld) -> np.ndarray:

@@ -1,5 +1,7 @@
 """The robot: laws of its compiled model."""
 
+from collections.abc import Callable
+
 import mujoco
 import numpy as np
 import pytest
@@ -43,8 +45,7 @@ def test_calibration_is_the_stored_one():
     assert track_m == pytest.approx(TRACK_M, rel=1e-4)
 
 
-@pytest.mark.parametrize("yaw", [0.0, 2.0])
-@pytest.mark.parametrize("speed_mps", [0.1, 0.22, 0.4])
+@pytest.mark.parametrize(("speed_mps", "yaw"), [(0.22, 2.0), (0.4, 0.0)])
 def test_encoders_measure_a_straight(speed_mps, yaw):
     world = make_world()
     world.place(np.array([0.0, 0.0, yaw]))
@@ -65,16 +66,21 @@ def test_encoders_measure_a_full_turn(rate_rps):
     assert (right - left) * WHEEL_RADIUS_M / TRACK_M == pytest.approx(yaw[-1], rel=0.01)
 
 
-def test_camera_axis_stays_while_turning():
-    world = make_world()
-    site = world.data.site("robot/camera")
-    place, step = [], world.step
+def note_each_step(world: RoomWorld, read: Callable[[], np.ndarray]) -> list[np.ndarray]:
+    """What is read after each step that follows."""
+    noted, step = [], world.step
 
     def noted_step(wheel_speed):
         step(wheel_speed)
-        place.append(site.xpos.copy())
+        noted.append(read().copy())
 
     world.step = noted_step
+    return noted
+
+
+def test_camera_axis_stays_while_turning():
+    world = make_world()
+    place = note_each_step(world, lambda: world.data.site("robot/camera").xpos)
     run(world, 0.0, 1.8, 2 * np.pi / 1.8)
     assert len(place) > 100
     assert np.ptp(place, axis=0).max() < 0.003
@@ -82,15 +88,9 @@ def test_camera_axis_stays_while_turning():
 
 def test_dead_reckoning_follows_an_arc():
     world = make_world()
-    angles, step = [world.wheel_angle()], world.step
-
-    def noted_step(wheel_speed):
-        step(wheel_speed)
-        angles.append(world.wheel_angle())
-
-    world.step = noted_step
+    angles = note_each_step(world, world.wheel_angle)
     run(world, 0.2, 0.7, 10.0)
-    distance = np.diff(np.array(angles) * WHEEL_RADIUS_M, axis=0)
+    distance = np.diff(np.array([np.zeros(2), *angles]) * WHEEL_RADIUS_M, axis=0)
     yaw = np.cumsum((distance[:, 1] - distance[:, 0]) / TRACK_M)
     place = distance.mean(axis=1) @ np.stack([np.cos(yaw), np.sin(yaw)], axis=1)  # along the heading at each step's end
     x, y, turned = world.pose()
@@ -128,7 +128,7 @@ def test_larger_left_wheel_curves_the_robot(error):
     assert abs(yaw[-1]) > 0.2
 
 
-@pytest.mark.parametrize("height_m", [0.2, 0.35, 0.8, 1.5])
+@pytest.mark.parametrize("height_m", [0.2, 0.35, 1.5])
 def test_lens_does_not_see_its_own_robot(height_m):
     settings = SimSettings(camera=CameraSettings(height_m=height_m))
     model = compile_scene(empty_room(), settings)
@@ -148,9 +148,7 @@ def test_lens_does_not_see_its_own_robot(height_m):
 def test_camera_looks_up_with_the_front_at_the_top_of_the_picture():
     world = make_world()
     right, up, back = world.data.camera("robot/fisheye").xmat.reshape(3, 3).T
-    assert np.allclose(back, (0, 0, -1), atol=1e-3)
-    assert np.allclose(up, (1, 0, 0), atol=1e-3)
-    assert np.allclose(right, (0, 1, 0), atol=1e-3)
+    assert np.allclose([back, up, right], [(0, 0, -1), (1, 0, 0), (0, 1, 0)], atol=1e-3)
 
 
 def test_mass_and_size_are_the_burgers():

@@ -1,6 +1,5 @@
 """A robot of one's own: measured, driven and refused; the testbed's own robot stays as it is, byte for byte."""
 
-import os
 from pathlib import Path
 
 import mujoco
@@ -115,24 +114,14 @@ LOWER = [
 ]
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
+def test_one_that_cannot_stand_or_drive_is_refused_before_it_drives(tmp_path: Path):
+    for changes, message in (
         ([('pos="-0.15 0 0.02"', 'pos="-0.15 0 0.30"')], "does not stay level"),
         ([('kv="0.6"', 'kv="0.6" ctrlrange="-0.5 0.5"')], r"drive\.speed_mps 0\.22, it drove 0\.\d"),
         (LOWER, r"0\.02 m above the floor"),
-    ],
-)
-def test_one_that_cannot_stand_or_drive_is_refused_before_it_drives(changes, message: str, tmp_path: Path):
-    with pytest.raises(InputError, match=rf"robot\.mjcf .*{message}"):
-        RoomWorld(SimSettings(robot=robot(changed(tmp_path, *changes))), empty_room())
-
-
-def test_a_pipe_is_not_waited_for_and_nothing_is_refused_in_one_line(tmp_path: Path):
-    os.mkfifo(tmp_path / "pipe.xml")
-    for path in (tmp_path / "pipe.xml", tmp_path, tmp_path / "nothing.xml"):
-        with pytest.raises(InputError, match=r"robot\.mjcf"):
-            describe_own(robot(path))
+    ):
+        with pytest.raises(InputError, match=rf"robot\.mjcf .*{message}"):
+            RoomWorld(SimSettings(robot=robot(changed(tmp_path, *changes))), empty_room())
 
 
 EYE = '<site name="eye" pos="0 0 0.5"/>'
@@ -179,16 +168,13 @@ def test_a_part_that_is_fixed_to_it_feels_what_it_touches(shell: str, tmp_path: 
     pytest.fail("it drove against a wall for seconds and felt nothing")
 
 
-def test_settings_that_contradict_it_are_refused():
+def test_settings_that_contradict_it_and_a_log_of_it_are_refused(tmp_path: Path):
     for overrides, message in (
         ({"robot.wheel_radius_error": 0.01}, "wheel_radius_error 0.01 must be 0"),
         ({"camera.height_m": 0.4}, "camera.height_m 0.4 must be left out"),
     ):
         with pytest.raises(InputError, match=message):
             load_scenario("tiny", {"robot.mjcf": str(EXAMPLE), **overrides})
-
-
-def test_a_log_of_it_is_refused(tmp_path: Path):
     with pytest.raises(InputError, match="logs are of the testbed's own robot"):
         check_log(tmp_path / "drive.mcap", SimSettings(robot=robot()))
 

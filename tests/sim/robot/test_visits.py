@@ -44,9 +44,9 @@ def test_square_closes():
     assert np.linalg.norm(place(follow(start(), *side * 2))) == pytest.approx(np.sqrt(2))
 
 
-@pytest.mark.parametrize("arc", [(0.7, 2.5), (0.7, -0.1), (-0.06, 0.3), (1.5, 5.0)])
-def test_arc_in_one_step_is_the_arc_in_many(arc):
-    assert np.allclose(place(follow(start(), arc)), place(follow(start(), arc, steps=50)), atol=1e-9)
+def test_arc_in_one_step_is_the_arc_in_many():
+    for arc in ((0.7, 2.5), (0.7, -0.1), (-0.06, 0.3), (1.5, 5.0)):
+        assert np.allclose(place(follow(start(), arc)), place(follow(start(), arc, steps=50)), atol=1e-9)
 
 
 def test_segment_passed_over_is_fresh_and_what_is_beside_it_stale():

@@ -85,14 +85,14 @@ def test_state_returns_exactly():
         assert np.array_equal(drive_a_little(other), end)
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, 1e12])
-def test_broken_state_is_an_error(value, tmp_path, monkeypatch):
+def test_broken_state_is_an_error(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # MuJoCo writes its log where it stands
     world = RoomWorld(SimSettings(), walls())
-    world.place(np.zeros(3))
-    world.data.qvel[0] = value
-    with pytest.raises(WorkError, match=r"physics failed at .* s: MuJoCo warned .*mjWARN_BADQVEL"):
-        world.step(np.zeros(2))
+    for value in (np.nan, np.inf, 1e12):
+        world.place(np.zeros(3))
+        world.data.qvel[0] = value
+        with pytest.raises(WorkError, match=r"physics failed at .* s: MuJoCo warned .*mjWARN_BADQVEL"):
+            world.step(np.zeros(2))
 
 
 def test_wheel_sensors_are_read_where_the_robot_is():
@@ -157,11 +157,11 @@ def test_rays_see_what_collides_and_nothing_else():
     assert clear_length(world.ranges(0.7)) == pytest.approx(0.7 - RADIUS_M)
 
 
-@pytest.mark.parametrize("height_m", [0.06, 0.11, 0.2, 0.35, 1.5])
-def test_fans_reach_from_floor_to_top(height_m):
-    heights = fan_heights(height_m)
-    assert heights[0] < 0.02 and height_m - 0.02 < heights[-1] < height_m
-    assert (np.diff(heights) > 0).all() and np.diff(heights).max() < 0.3
+def test_fans_reach_from_floor_to_top():
+    for height_m in (0.06, 0.11, 0.2, 0.35, 1.5):
+        heights = fan_heights(height_m)
+        assert heights[0] < 0.02 and height_m - 0.02 < heights[-1] < height_m
+        assert (np.diff(heights) > 0).all() and np.diff(heights).max() < 0.3
 
 
 @pytest.mark.parametrize("height_m", [0.05, 0.25, 0.3])

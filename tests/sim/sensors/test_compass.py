@@ -45,15 +45,15 @@ def test_the_angle_is_exact_for_a_rotated_image_at_every_angle() -> None:
     assert found.std[:, 0].max() < 0.02 * SECTOR
 
 
-@pytest.mark.parametrize("fold", [2, 3, 4])
-def test_a_symmetrical_image_has_as_many_hypotheses(fold: int) -> None:
+def test_a_symmetrical_image_has_as_many_hypotheses() -> None:
     angle = np.array([0.1, -1.3, 2.9])
-    images = draw_images(3, fold, fold=fold)
-    found = find_turns(images, turn(images, angle), LENS)
-    assert found.angle.shape == (3, fold)
-    assert np.allclose(found.weight, 1 / fold, atol=1e-3)
-    expected = np.sort(wrap(angle[:, None] + 2 * np.pi * np.arange(fold) / fold))
-    assert np.allclose(np.sort(found.angle), expected, atol=1e-4)
+    for fold in (2, 3, 4):
+        images = draw_images(3, fold, fold=fold)
+        found = find_turns(images, turn(images, angle), LENS)
+        assert found.angle.shape == (3, fold)
+        assert np.allclose(found.weight, 1 / fold, atol=1e-3)
+        expected = np.sort(wrap(angle[:, None] + 2 * np.pi * np.arange(fold) / fold))
+        assert np.allclose(np.sort(found.angle), expected, atol=1e-4)
 
 
 def test_a_blank_image_gives_no_angle() -> None:
@@ -118,18 +118,14 @@ def test_wheels_choose_peaks_and_whole_turns_and_never_change_an_angle() -> None
         assert chosen.weight[0, 0] == 1.0
 
 
-@pytest.mark.parametrize(("told", "std"), [(-2.6, 1e3), (np.nan, 0.1), (0.4, np.nan)])
-def test_where_the_wheels_cannot_choose_all_hypotheses_remain(told: float, std: float) -> None:
+def test_where_the_wheels_cannot_choose_all_hypotheses_remain_and_a_single_peak_is_believed() -> None:
     both = make_hypotheses([0.5, 0.5 - np.pi], [0.6, 0.4])
-    chosen = disambiguate(both, np.array([told]), np.array([std]))
-    assert np.allclose(chosen.weight, both.weight, atol=1e-4)
-    assert np.allclose(wrap(chosen.angle - both.angle), 0.0, atol=1e-12)
-
-
-def test_a_single_peak_is_believed_against_the_wheels() -> None:
-    chosen = disambiguate(make_hypotheses([0.5], [1.0]), np.array([2.5]), np.array([1e-3]))
-    assert chosen.angle[0, 0] == 0.5
-    assert chosen.weight[0, 0] == 1.0
+    for told, std in ((-2.6, 1e3), (np.nan, 0.1), (0.4, np.nan)):
+        chosen = disambiguate(both, np.array([told]), np.array([std]))
+        assert np.allclose(chosen.weight, both.weight, atol=1e-4)
+        assert np.allclose(wrap(chosen.angle - both.angle), 0.0, atol=1e-12)
+    alone = disambiguate(make_hypotheses([0.5], [1.0]), np.array([2.5]), np.array([1e-3]))
+    assert (alone.angle[0, 0], alone.weight[0, 0]) == (0.5, 1.0)
 
 
 PAIRS = 16
@@ -252,14 +248,11 @@ def waves(angle: np.ndarray) -> np.ndarray:
     return np.cos(2.0 * angle) + 0.3 * np.cos(angle)
 
 
-@pytest.mark.parametrize("turned", [0.0, 0.03, 1.0, np.pi, 6.27])
-def test_peaks_turn_with_the_circle(turned: float):
+def test_peaks_turn_with_the_circle_and_a_flat_curve_has_none():
     around = 2.0 * np.pi * np.arange(SAMPLES) / SAMPLES
-    angle, height = find_highest(waves(around - turned)[None], 3)
-    assert np.abs(wrap(angle[0, :2] - turned - [0.0, np.pi])).max() < 1e-3
-    assert height[0, :2] == pytest.approx([1.3, 0.7], abs=0.01)
-    assert height[0, 2] == -np.inf, "there are two only"
-
-
-def test_a_flat_curve_has_no_peak():
+    for turned in (0.0, 0.03, 1.0, np.pi, 6.27):
+        angle, height = find_highest(waves(around - turned)[None], 3)
+        assert np.abs(wrap(angle[0, :2] - turned - [0.0, np.pi])).max() < 1e-3
+        assert height[0, :2] == pytest.approx([1.3, 0.7], abs=0.01)
+        assert height[0, 2] == -np.inf, "there are two only"
     assert (find_highest(np.ones((2, SAMPLES)), 1)[1] == -np.inf).all()

@@ -86,25 +86,18 @@ def test_directions_are_those_of_opencv_s_fisheye_camera():
         assert np.unravel_index(polar[..., 0].argmax(), (32, 128)) == (ring, sector)
 
 
-@pytest.mark.parametrize(
-    ("images", "centre", "radius_px", "message"),
-    [
-        (np.zeros((10, 10), np.uint8), (5, 5), 4, r"images \(10, 10\) uint8: must be"),
-        (np.zeros((10, 10, 3)), (5, 5), 4, r"images \(10, 10, 3\) float64: must be"),
-        (np.zeros((10, 20, 3), np.uint8), (20, 5), 4, r"centre \(20, 5\): must be column and row in an image of 20 x"),
-        (np.zeros((10, 10, 3), np.uint8), (np.nan, 5), 4, r"centre \(nan, 5\)"),
-        (np.zeros((10, 10, 3), np.uint8), (5, 5), 0.0, "radius_px 0.0: must be from 1"),
-    ],
-)
-def test_wrong_input_is_refused(images: np.ndarray, centre: tuple, radius_px: float, message: str):
-    with pytest.raises(InputError, match=message):
-        unwrap_fisheye(images, centre, radius_px)
-
-
-@pytest.mark.parametrize("forward_deg", [np.nan, np.inf, 360.1])
-def test_a_forward_axis_that_is_no_direction_is_refused(forward_deg: float):
-    with pytest.raises(InputError, match=f"forward_deg {forward_deg}: must be from -360 to 360"):
-        unwrap_fisheye(np.zeros((10, 10, 3), np.uint8), (5, 5), 4, forward_deg=forward_deg)
+def test_wrong_input_is_refused():
+    black = np.zeros((10, 10, 3), np.uint8)
+    for images, centre, radius_px, forward_deg, message in (
+        (black[..., 0], (5, 5), 4, 0.0, r"images \(10, 10\) uint8: must be"),
+        (np.zeros((10, 10, 3)), (5, 5), 4, 0.0, r"images \(10, 10, 3\) float64: must be"),
+        (np.zeros((10, 20, 3), np.uint8), (20, 5), 4, 0.0, r"centre \(20, 5\): must be column and row"),
+        (black, (np.nan, 5), 4, 0.0, r"centre \(nan, 5\)"),
+        (black, (5, 5), 0.0, 0.0, "radius_px 0.0: must be from 1"),
+        *((black, (5, 5), 4, deg, f"forward_deg {deg}: must be from -360 to 360") for deg in (np.nan, np.inf, 360.1)),
+    ):
+        with pytest.raises(InputError, match=message):
+            unwrap_fisheye(images, centre, radius_px, forward_deg=forward_deg)
 
 
 def measure(one: np.ndarray, other: np.ndarray) -> float:
