@@ -86,12 +86,9 @@ def see_pairs(recording: Recording, sight: Sight) -> tuple[np.ndarray, Hypothese
 
 
 def find_alike(images: np.ndarray) -> np.ndarray:
-    """Pairs (P, 2) of images that look alike from any heading, a while apart; no more than ``PAIRS``, best first.
+    """Pairs (P, 2) of polar images, in the order driven, that look alike from any heading, a while apart; best first.
 
     An image is described by the amplitudes of the lowest frequencies around each ring, which no turn changes.
-
-    Args:
-        images: Polar images in the order driven (N, rings, sectors, channels).
     """
     looked = np.unique(np.linspace(0, len(images) - 1, min(len(images), LOOKS)).astype(int))
     described = np.stack([_describe(images[one]) for one in looked])

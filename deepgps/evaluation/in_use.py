@@ -68,12 +68,6 @@ def check_predicted(folder: Path, position: np.ndarray, what: str = "observation
 
 
 def find_causes(positioner: Positioner, recording: Recording, drive: Recording) -> dict[str, Any]:
-    """Why images of the drive in use are refused or suspicious, as an entry of figures; nothing where it is not known.
-
-    Args:
-        positioner: The method's, as it was trained.
-        recording: What it has learned from.
-        drive: The drive in use.
-    """
+    """Why images of a drive in use are refused, as an entry of figures; nothing where ``name_causes`` knows nothing."""
     causes = name_causes(positioner, recording, drive)
     return {} if causes is None else {"causes": causes.summarise()}

@@ -94,12 +94,7 @@ def measure_nees(covariance: np.ndarray, samples: int, error: np.ndarray) -> flo
 
 
 def add_expected(field: ErrorField, placed: PlacedMap) -> ErrorField:
-    """The error field with the error that the map expects at each test position, as RMS.
-
-    Args:
-        field: The error field of the method that began with the map.
-        placed: The map.
-    """
+    """The error field with the RMS error that the map, with which the method began, expects at each test position."""
     away, nearest = KDTree(placed.position).query(field.truth, min(NEAREST, len(placed.position)))
     weight = 1.0 / np.maximum(away, ROUNDING_M) ** 2
     variance = (weight * placed.expected[nearest] ** 2).sum(axis=1) / weight.sum(axis=1)

@@ -23,37 +23,29 @@ def evaluate(scenario: Scenario, folder: Path, progress: Report) -> dict[str, An
     On a recording without truth, ``without_truth.json`` is written in their place. Returns the file's contents; None if
     the recording holds the truth, but no test observations to measure errors at.
     """
-    from deepgps.evaluation.evaluate import evaluate as measure
-
     metrics = read_measured(folder)
     if metrics and set(scenario.methods) <= {name for name in metrics["methods"] if has_alignment(folder / name)}:
         return metrics
-    if not has_truth(folder / "recording"):
-        return evaluate_without_truth(scenario, folder, progress)
-    if not open_recording(folder / "recording").test_observation.size:
-        return None
+    from deepgps.evaluation import evaluate, without_truth
+
+    if has_truth(folder / "recording"):
+        if not open_recording(folder / "recording").test_observation.size:
+            return None
+        path, measure = folder / METRICS, evaluate.evaluate
+    else:
+        judged = without_truth.read_judged(folder)
+        if judged and set(scenario.methods) <= set(judged["methods"]):
+            return judged
+        path, measure = folder / WITHOUT_TRUTH, without_truth.judge
     with timed(folder, "evaluate"):
         measured = measure(folder, scenario, progress)
     remove_recording_of_run(folder)
-    head = {"scenario": scenario.title, "seed": scenario.seed}
-    made_with = describe_environment(folder, measured["methods"].values())
-    tail = {"timing_s": stage_times(folder), "environment": made_with}
-    write_json(folder / METRICS, {**head, **measured, **tail})
-    return read_json(folder / METRICS)
-
-
-def evaluate_without_truth(scenario: Scenario, folder: Path, progress: Report) -> dict[str, Any]:
-    """Write what can be said of all methods without the truth: ``without_truth.json``."""
-    from deepgps.evaluation.without_truth import judge, read_judged
-
-    judged = read_judged(folder)
-    if judged and set(scenario.methods) <= set(judged["methods"]):
-        return judged
-    with timed(folder, "evaluate"):
-        judged = judge(folder, scenario, progress)
-    remove_recording_of_run(folder)
-    write_json(folder / WITHOUT_TRUTH, judged)
-    return judged
+    if path.name == METRICS:
+        head = {"scenario": scenario.title, "seed": scenario.seed}
+        made_with = describe_environment(folder, measured["methods"].values())
+        measured = {**head, **measured, "timing_s": stage_times(folder), "environment": made_with}
+    write_json(path, measured)
+    return read_json(path)
 
 
 def remove_recording_of_run(folder: Path) -> None:

@@ -109,11 +109,8 @@ def measure_flipped(truth: np.ndarray, predicted: np.ndarray, spacing_m: float) 
 def measure_flipped_patch(truth: np.ndarray, positions: np.ndarray) -> float:
     """Area [m^2] of the largest connected patch of flipped neighbourhoods in a map of scattered positions.
 
-    The map's displacement is averaged in cells of ``PATCH_SPACING_M``; cells without a position have no neighbourhood.
-
-    Args:
-        truth: True positions (n, 2) [m].
-        positions: The map's positions (n, 2) [m], aligned with the truth.
+    The displacement of positions (n, 2) [m] from the true ones is averaged in cells of ``PATCH_SPACING_M``; those
+    without a position have no neighbourhood.
     """
     cell, number = np.unique(np.floor(truth / PATCH_SPACING_M).astype(int), axis=0, return_inverse=True)
     number = number.ravel()
@@ -140,9 +137,7 @@ CELL_M = 0.25
 def expect_new(places: np.ndarray, segment: np.ndarray) -> float:
     """Share of the cells on the way of one more segment that no earlier one passed, to be expected.
 
-    Args:
-        places: Position of each reading (R, 2) [m].
-        segment: Its segment (R,).
+    Readings are at places (R, 2) [m] on segments (R,).
     """
     visits = _list_visits(places, segment)
     _, counts = np.unique(visits[:, :2], axis=0, return_counts=True)

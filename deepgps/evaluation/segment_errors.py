@@ -54,9 +54,7 @@ def describe_drive(recording: Recording) -> dict[str, Any]:
 def measure_segments(recording: Recording, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """True length of each segment, and the encoders' distance minus that length, both (S,) [m].
 
-    Args:
-        recording: The recording; segments with one reading are left out.
-        pose: True pose at each observation (N, 3).
+    Segments with one reading are left out; true poses are of the observations (N, 3).
     """
     encoder, true, _ = measure_distances(recording, pose)
     start = find_starts(recording.reading[:, 0])
@@ -68,9 +66,7 @@ def measure_segments(recording: Recording, pose: np.ndarray) -> tuple[np.ndarray
 def reckon_path(recording: Recording, pose: np.ndarray) -> np.ndarray:
     """The dead-reckoned path (R, 2) [m] from the true start, rotated to fit the first three metres of the true path.
 
-    Args:
-        recording: The recording.
-        pose: True pose at each observation (N, 3).
+    True poses are of the observations (N, 3).
     """
     path, true = dead_reckon(recording)[:, :2], pose[recording.reading[:, 1], :2]
     driven = np.cumsum(np.linalg.norm(np.diff(true, axis=0), axis=1))

@@ -1,6 +1,6 @@
 """A run's results as text: its table, what they say, and whether they can be believed."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,8 @@ from rich.console import Console
 from deepgps.config.methods import title_of
 from deepgps.evaluation.error_field import MEASURE_AGAIN
 from deepgps.reports import table
-from deepgps.reports.without_truth import print_without_truth, write_hundredths
+from deepgps.reports.table import Column, fill, write_hundredths
+from deepgps.reports.without_truth import print_without_truth
 from deepgps.runs.run_folder import METRICS
 from deepgps.tracking.causes import describe_causes
 from sim.errors import DamagedError, InputError
@@ -18,8 +19,6 @@ from sim.files.checksums import read_json
 
 Row = tuple[str, ...]
 
-Column = tuple[str, str, Callable[[Any], str]]
-# heading, key in metrics.json, function that formats a value
 COLUMNS: tuple[Column, ...] = (
     ("RMS [cm]", "rms_m", write_hundredths),
     ("median [cm]", "median_m", write_hundredths),
@@ -227,13 +226,10 @@ def _is_held_out(metrics: Mapping[str, Any]) -> bool:
 
 def _rows(name: str, values: Mapping[str, Any], columns: Sequence[Column]) -> list[Row]:
     """A method's figures; if it refuses images, also those of what it accepts."""
-    of_all = (form(values[key]) if values.get(key) is not None else "-" for _, key, form in columns)
-    rows = [(title_of(name), *of_all)]
+    rows = [(title_of(name), *fill(columns, values))]
     if values.get("accepted") is not None:
-        keys = ("_accepted_".join(key.rpartition("_")[::2]) for _, key, _ in columns)  # of rms_m: rms_accepted_m
-        accepted = (values.get(key) for key in keys)
-        figures = ("" if value is None else form(value) for value, (*_, form) in zip(accepted, columns, strict=True))
-        rows.append((f" {100 * values['accepted']:.3g} % accepted", *figures))
+        of_accepted = [(heading, "_accepted_".join(key.rpartition("_")[::2]), form) for heading, key, form in columns]
+        rows.append((f" {100 * values['accepted']:.3g} % accepted", *fill(of_accepted, values, "")))  # rms_accepted_m
     return rows
 
 
@@ -291,11 +287,7 @@ def find_doubts(method: Mapping[str, Any]) -> list[str]:
 
 
 def describe_undecided(found: Mapping[str, Any]) -> str | None:
-    """Say in a sentence how much of a map is undecided, and why; None: nothing is, or there is no such map.
-
-    Args:
-        found: The map's part of ``metrics.json``, or of ``training.json``.
-    """
+    """Say in a sentence how much of a map is undecided, and why, by its figures; None: nothing, or there is no map."""
     share, parts, repeats_m = found.get("undecided", 0.0), found.get("parts", []), found.get("repeats_m")
     if not share or not parts:
         return None
@@ -310,11 +302,7 @@ def describe_undecided(found: Mapping[str, Any]) -> str | None:
 
 
 def describe_turned(turned: Mapping[str, Any]) -> str | None:
-    """Say which part of a map goes another way than the compass saw; None: no part, or nothing is known.
-
-    Args:
-        turned: What ``describe_parts`` gives; empty without turn images.
-    """
+    """Say which part of a map goes another way than the compass saw, by ``describe_parts``; None: no part."""
     if not turned.get("parts"):
         return None
     parts = turned["parts"]

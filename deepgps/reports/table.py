@@ -1,11 +1,25 @@
 """A table and sentences, written as Markdown or printed in the terminal."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 from rich import box
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
+
+Column = tuple[str, str, Callable[[Any], str]]
+"""Heading of a column, key of its figures, and how one is written."""
+
+
+def write_hundredths(value: float) -> str:
+    """A length [m] in centimetres, or a share in per cent."""
+    return f"{100 * value:.1f}"
+
+
+def fill(columns: Sequence[Column], figures: Mapping[str, Any], unknown: str = "-") -> list[str]:
+    """The cells of a row with these figures."""
+    return [unknown if figures.get(key) is None else write(figures[key]) for _, key, write in columns]
 
 
 def tabulate(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -1,6 +1,6 @@
 """What is known of a run without truth, as text: a table and sentences, for the terminal and the viewer."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -9,18 +9,14 @@ from rich.console import Console
 from deepgps.config.methods import title_of
 from deepgps.evaluation.without_truth import read_judged
 from deepgps.reports import table
+from deepgps.reports.table import Column, fill, write_hundredths
 from deepgps.tracking.causes import describe_causes
 from sim.errors import InputError
 
 NO_ERRORS = "There is no ground truth, so no figure here is an error of a position."
 
 
-def write_hundredths(value: float) -> str:
-    """A length [m] in centimetres, or a share in per cent."""
-    return f"{100 * value:.1f}"
-
-
-COLUMNS: tuple[tuple[str, str, Callable[[float], str]], ...] = (
+COLUMNS: tuple[Column, ...] = (
     ("length, RMS [cm]", "length_rms_m", write_hundredths),
     ("length, accepted [cm]", "length_rms_accepted_m", write_hundredths),
     ("length, median [cm]", "length_median_m", write_hundredths),
@@ -49,11 +45,7 @@ def print_without_truth(run: Path, console: Console) -> bool:
 def tabulate(found: Mapping[str, Any]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     """Headings and one row per method, of the segments held out or, if there are none, of those trained on."""
     kind = "held_out" if "held_out" in found else "segments"
-    rows = []
-    for name, values in found["methods"].items():
-        given = values.get(kind, {})
-        cells = ("-" if given.get(key) is None else write(given[key]) for _, key, write in COLUMNS)
-        rows.append((title_of(name), *cells))
+    rows = [(title_of(name), *fill(COLUMNS, values.get(kind, {}))) for name, values in found["methods"].items()]
     return ("method", *(heading for heading, _, _ in COLUMNS)), rows
 
 

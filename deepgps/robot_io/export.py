@@ -130,13 +130,13 @@ def write_onnx(
     alignment: Alignment | None,
     raw: RoundImage | None,
 ) -> None:
-    """Write the folder.
+    """Write the folder of a method.
 
     Args:
         folder: Where to.
         method: Name of the method.
         positioner: What it has learned.
-        alignment: From its map to the frame of the poses; None: they are in the map's own frame.
+        alignment: From its map to the frame of the poses; None: the map's own.
         raw: Where the image circle is in raw images; None: the folder takes polar images alone.
 
     Raises:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
@@ -16,7 +16,7 @@ from deepgps.positioner.pose import Poses, find_poses
 from deepgps.robot_io.sources import Odometry, Picture, Unwrapper, check_images, open_pictures, open_source
 from deepgps.terminal.progress import Report
 from deepgps.tracking.causes import Watch, make_monitor
-from deepgps.tracking.filter import State, advance, begin, estimate
+from deepgps.tracking.filter import advance, begin, estimate
 from deepgps.tracking.fix import take_fix
 from deepgps.tracking.motion import Motion, make_motion, mirror
 from sim.errors import InputError, one_line
@@ -211,21 +211,12 @@ SLIP, STILL_RAD = 0.1, 0.01
 """Standard deviation of the turn between two images, as a part of it and at least [rad]."""
 
 
-@dataclass
 class Tracker:
-    """Tracks the robot through a stream of images.
+    """Tracks the robot through a stream of images; ``mirrored``: to the left is to the right in the method's map."""
 
-    Attributes:
-        mirrored: Whether a turn to the left is one to the right in the method's map.
-        travelled_m: Distance at the last image [m]; NaN: unknown.
-        yaw: Heading by odometry there [rad].
-        state: The filter's state.
-    """
-
-    mirrored: bool
-    travelled_m: float = np.nan
-    yaw: float = np.nan
-    state: State = field(default_factory=begin)
+    def __init__(self, mirrored: bool) -> None:
+        self._mirrored, self._state = mirrored, begin()
+        self._travelled_m, self._yaw = np.nan, np.nan  # at the last image, by odometry
 
     def step(self, pose: Poses, travelled_m: float, yaw: float) -> Poses:
         """The tracked pose at an image, in the method's frame.
@@ -236,9 +227,9 @@ class Tracker:
             yaw: Heading by the wheels [rad].
         """
         motion = self._find_motion(travelled_m, yaw)
-        self.travelled_m, self.yaw = travelled_m, yaw
-        self.state = advance(self.state, motion, take_fix(pose))
-        found = estimate(self.state)
+        self._travelled_m, self._yaw = travelled_m, yaw
+        self._state = advance(self._state, motion, take_fix(pose))
+        found = estimate(self._state)
         radius = found.position_std * find_normal_radius(np.array(LEVELS))
         return Poses(
             found.position,
@@ -252,7 +243,7 @@ class Tracker:
 
     def _find_motion(self, travelled_m: float, yaw: float) -> Motion | None:
         """The motion since the last image; None: it is not known."""
-        way, turn = travelled_m - self.travelled_m, yaw - self.yaw
+        way, turn = travelled_m - self._travelled_m, yaw - self._yaw
         if not np.isfinite([way, turn]).all():
             return None
         rests = abs(way) < AT_REST_M and abs(turn) < AT_REST_RAD
@@ -264,4 +255,4 @@ class Tracker:
             WAY * abs(way) + (0.0 if rests else STILL_M),
             SLIP * abs(turn) + (0.0 if rests else STILL_RAD),
         )
-        return mirror(motion) if self.mirrored else motion
+        return mirror(motion) if self._mirrored else motion

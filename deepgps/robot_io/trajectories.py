@@ -5,8 +5,9 @@ are on a topic of their own, so that nobody fuses them unawares.
 """
 
 import csv
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
+from functools import partial
 from io import StringIO
 from pathlib import Path
 from typing import Any, Literal
@@ -76,13 +77,7 @@ class Trajectory:
 
 
 def write_trajectories(folder: Path, trajectories: Sequence[Trajectory], formats: Sequence[Format]) -> None:
-    """Write ``<format>/<drive>/<method>.<format>`` for each trajectory.
-
-    Args:
-        folder: Where to.
-        trajectories: What to write.
-        formats: Names in ``WRITE``.
-    """
+    """Write ``<format>/<drive>/<method>.<format>`` for each trajectory, in formats named in ``WRITE``."""
     for one in trajectories:
         for name in formats:
             WRITE[name](folder / name / one.drive / f"{one.name}.{name}", one)
@@ -109,32 +104,26 @@ def find_trajectories(run: Run, method: str | None, frame: Frame | None, progres
     """
     methods, drives = run.methods if method is None else (run.choose(method),), open_drives(run)
     total = len(drives) * len(methods) + sum(has_truth(one.folder) for one in drives.values())
-    found = list[Trajectory]()
-    for one in _follow(run, drives, methods, frame):
-        found.append(one)
-        progress("trajectories", len(found), total)
-    return found
-
-
-def _follow(
-    run: Run, drives: dict[str, Recording], methods: tuple[str, ...], frame: Frame | None
-) -> Iterator[Trajectory]:
-    """Trajectories one after the other; the lean in use is corrected as in evaluation."""
-    in_use = drives.get("use")
     start_s = 1e-9 * run.recording.manifest.start_ns  # all drives of a log count from its start
+    found = list[Trajectory]()
+
+    def add(*parts: Any) -> None:
+        found.append(Trajectory(*parts, start_s))
+        progress("trajectories", len(found), total)
+
     for drive, recording in drives.items():
         order, time_s = _put_in_order(recording)
         if has_truth(recording.folder):
             pose = open_truth(recording.folder).pose[order]
-            yield Trajectory(drive, TRUTH, time_s, Poses(pose[:, :2], yaw=pose[:, 2]), start_s)
-        for method in methods:
-            alignment = run.alignment(method, frame or run.choose_frame(method))
-            positioner = run.positioner(method)
-            positioner = adapt(positioner, in_use)[0] if drive == "use" else positioner
+            add(drive, TRUTH, time_s, Poses(pose[:, :2], yaw=pose[:, 2]))
+        for name in methods:
+            alignment, positioner = run.alignment(name, frame or run.choose_frame(name)), run.positioner(name)
+            if drive == "use":
+                positioner, _ = adapt(positioner, recording)  # the lean in use is corrected as in evaluation
             with use_threads(run.scenario.learn.train.threads):
                 poses = find_poses(positioner, recording.observation)
-            poses = poses if alignment is None else poses.align(alignment)
-            yield Trajectory(drive, method, time_s, poses.take(order), start_s)
+            add(drive, name, time_s, (poses if alignment is None else poses.align(alignment)).take(order))
+    return found
 
 
 def _put_in_order(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
@@ -175,14 +164,7 @@ WRITE: dict[Format, Callable[[Path, Trajectory], None]] = {"tum": write_path, "c
 
 
 def write_drives(folder: Path, run: Run, trajectories: Sequence[Trajectory], progress: Report) -> None:
-    """Write ``mcap/<drive>.mcap`` for the training drive and the drive in use.
-
-    Args:
-        folder: Where to.
-        run: The run.
-        trajectories: Poses along its drives.
-        progress: Called with the messages done and their number.
-    """
+    """Write ``mcap/<drive>.mcap`` for the training drive and the drive in use, with trajectories along them."""
     start_ns = run.recording.manifest.start_ns  # all drives of a log count from its start
     for drive, recording in open_drives(run).items():
         topics = [*list_readings(recording, start_ns), *list_images(recording, start_ns)]
@@ -224,25 +206,20 @@ def list_poses(one: Trajectory, start_ns: int) -> list[Topic]:
     variance = find_variances(one.poses)
     accepted = np.ones(len(ns), bool) if one.poses.accepted is None else one.poses.accepted
 
-    def tell(rows: np.ndarray) -> Callable[[int], Any]:
-        def make(number: int) -> Any:
-            row = rows[number]
-            return make_uncertain_pose(int(ns[row]), pose[row], np.diag(variance[row]))
-
-        return make
+    def make(rows: np.ndarray, number: int) -> Any:
+        row = rows[number]
+        return make_uncertain_pose(int(ns[row]), pose[row], np.diag(variance[row]))
 
     kinds = {"pose": np.flatnonzero(accepted), "refused": np.flatnonzero(~accepted)}
-    return [Topic(f"/{one.name}/{kind}", ns[rows], tell(rows)) for kind, rows in kinds.items() if len(rows)]
+    return [Topic(f"/{one.name}/{kind}", ns[rows], partial(make, rows)) for kind, rows in kinds.items() if len(rows)]
 
 
 def find_variances(poses: Poses) -> np.ndarray:
     """Variances of x, y and yaw (n, 3) [m2, m2, rad2], large where they are not known."""
-    count = len(poses.position)
-    if poses.radius_68 is not None:
-        std_m = poses.radius_68 * SIGMA_PER_RADIUS
-    else:
-        std_m = np.full(count, np.nan) if poses.position_std is None else poses.position_std
-    std_rad = np.full(count, np.nan) if poses.yaw_std is None else poses.yaw_std
+    unknown = np.full(len(poses.position), np.nan)
+    std_m = unknown if poses.position_std is None else poses.position_std
+    std_m = std_m if poses.radius_68 is None else poses.radius_68 * SIGMA_PER_RADIUS
+    std_rad = unknown if poses.yaw_std is None else poses.yaw_std
     place, turn = np.asarray(std_m, float) ** 2, np.asarray(std_rad, float) ** 2
     place, turn = np.where(np.isfinite(place), place, UNKNOWN_M2), np.where(np.isfinite(turn), turn, UNKNOWN_RAD2)
     return np.column_stack([place, place, turn])

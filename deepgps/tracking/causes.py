@@ -269,13 +269,7 @@ def measure_upright(recording: Recording) -> Upright | None:
 
 
 def name_causes(positioner: Positioner, recording: Recording, drive: Recording) -> Causes | None:
-    """Name why images of a drive in use are refused or suspicious; None like ``make_monitor``.
-
-    Args:
-        positioner: The method as trained.
-        recording: What it has learned from.
-        drive: The drive in use.
-    """
+    """Name why images of a drive in use are refused by a method trained on a recording; None like ``make_monitor``."""
     monitor = make_monitor(positioner, recording)
     return None if monitor is None else monitor.name(drive)
 

@@ -7,6 +7,7 @@ Two images of one place correlate well; how well images of different places do, 
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy import fft
@@ -44,8 +45,7 @@ AROUND = 32
 CHUNK = 64
 
 
-@dataclass(frozen=True)
-class Comparison:
+class Comparison(NamedTuple):
     """How B images compare with the known ones.
 
     Attributes:
@@ -101,14 +101,11 @@ class KnownImages:
             apart_m: Known images nearer to the position than this are left out [m].
             own: The known image that each of them is itself (B,), which is left out; -1 or None: none.
         """
-        chunks = [slice(start, start + CHUNK) for start in range(0, len(images), CHUNK)]
-        own = np.full(len(images), -1) if own is None else own
-        found = [
-            self._compare(_set_upright(images[chunk], upright), positions[chunk], apart_m, own[chunk])
-            for chunk in chunks
-        ]
-        correlation, relit, gain = np.concatenate([np.empty((3, 0)), *found], axis=1)
-        return Comparison(correlation, relit, gain, np.asarray(self._tree.query(positions)[0]))
+        own, found = np.full(len(images), -1) if own is None else own, [np.empty((3, 0))]
+        for start in range(0, len(images), CHUNK):
+            chunk = slice(start, start + CHUNK)
+            found.append(self._compare(_set_upright(images[chunk], upright), positions[chunk], apart_m, own[chunk]))
+        return Comparison(*np.concatenate(found, axis=1), np.asarray(self._tree.query(positions)[0]))
 
     def _compare(self, images: np.ndarray, positions: np.ndarray, apart_m: float, own: np.ndarray) -> np.ndarray:
         phases = take_phases(images)
@@ -169,11 +166,9 @@ def learn_images(recording: Recording, upright: Upright | None, positions: np.nd
 
 
 def find_gaps(recording: Recording, positions: np.ndarray) -> np.ndarray:
-    """Distance of images from the nearest one of another segment (n,) [m], at most that of the ``AROUND`` nearest.
+    """Distance of observations at positions (N, 2) [m] from the nearest one of another segment (n,) [m].
 
-    Args:
-        recording: The recording.
-        positions: Positions of its observations (N, 2) [m].
+    It is at most that of the ``AROUND`` nearest.
     """
     number, first = np.unique(recording.reading[:, 1], return_index=True)  # at a turn, two segments share an image
     place, segment = positions[number], recording.reading[first, 0]

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deepgps.data.segments import Segments, dead_reckon, read_segments
+from deepgps.data.segments import dead_reckon, read_segments
 from deepgps.initial_map.distances.dense import find_chirality
 from deepgps.positioner.pose import Poses, find_poses
 from deepgps.positioner.positioner import Positioner
@@ -114,7 +114,9 @@ def track_drive(positioner: Positioner, recording: Recording, progress: Report) 
     progress("track", 1, 4)
     poses = find_poses(positioner, recording.observation)
     fixes = _list_fixes(positioner, recording, drive, poses)
-    mirrored = find_mirroring(positioner, segments, drive, poses.position) < 0
+    headings = positioner.headings  # a map may be mirrored: a turn to the left is one to the right in it
+    chirality = headings.chirality if headings else find_chirality(poses.position, segments, drive.turns.angle)
+    mirrored = chirality < 0
     motions = [one and mirror(one) for one in drive.motions] if mirrored else drive.motions
     progress("track", 2, 4)
     causal = run_forward(motions, fixes)
@@ -131,14 +133,6 @@ def track_drive(positioner: Positioner, recording: Recording, progress: Report) 
     }
     hypothesis, probability = _list_hypotheses(causal)
     return Track(drive.observation, drive.turn_image, _stamp(recording, drive), paths, hypothesis, probability)
-
-
-def find_mirroring(positioner: Positioner, segments: Segments, drive: Drive, position: np.ndarray) -> int:
-    """1; -1 where the map is mirrored, so that a turn to the left is one to the right in it."""
-    headings = positioner.headings
-    if headings is not None:
-        return headings.chirality
-    return find_chirality(position, segments, drive.turns.angle)
 
 
 def write_track(path: Path, track: Track) -> None:
@@ -183,16 +177,12 @@ def _as_path(fixes: Sequence[Fix]) -> TrackedPath:
 
 
 def _estimate(states: Sequence[State]) -> TrackedPath:
-    found = [estimate(state) for state in states]
-    return TrackedPath(
-        np.array([[*one.position, one.yaw] for one in found]),
-        np.array([[one.position_std, one.yaw_std] for one in found]),
-        np.array([one.accepted for one in found]),
-    )
+    rows = [([*one.position, one.yaw], [one.position_std, one.yaw_std], one.accepted) for one in map(estimate, states)]
+    pose, std, accepted = zip(*rows, strict=True)
+    return TrackedPath(np.array(pose), np.array(std), np.array(accepted))
 
 
 def _from_poses(pose: np.ndarray) -> TrackedPath:
-    """A path of which nothing tells the errors."""
     return TrackedPath(pose, np.full((len(pose), 2), np.nan), np.asarray(np.isfinite(pose).all(axis=1)))
 
 

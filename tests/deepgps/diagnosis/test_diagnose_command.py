@@ -1,11 +1,10 @@
 """The command ``deepgps diagnose``: what it prints and writes, and what it refuses."""
 
-import json
 import shutil
 from pathlib import Path
 
 from deepgps.diagnosis.store import FILE
-from sim.files.checksums import read_json
+from sim.files.checksums import read_json, write_json
 from tests.helpers.command import assert_one_clear_line, deepgps_here
 
 
@@ -35,29 +34,20 @@ def test_a_run_s_diagnosis_lies_in_its_folder_and_its_view_is_made_again(finishe
     assert not (run / "run.rrd").exists(), "it shows no diagnosis, or another one"
 
 
-def test_what_is_no_recording_is_refused_in_a_line(small_recording: Path, tmp_path: Path):
+def test_what_cannot_be_diagnosed_and_a_foreign_file_are_refused_in_a_line(small_recording: Path, tmp_path: Path):
     for name in ("nothing", "."):
         done = deepgps_here("diagnose", name, cwd=tmp_path)
         assert_one_clear_line(done, 2, "neither a recording", tmp_path)
-
-
-def test_a_recording_without_turns_is_refused_in_a_line(small_recording: Path, tmp_path: Path):
+    (tmp_path / "thesis.json").write_text("{}")
+    done = deepgps_here("diagnose", str(small_recording), "--out", "thesis.json", cwd=tmp_path)
+    assert (done.returncode, "deepgps did not write it" in done.stderr) == (2, True)
     old = tmp_path / "old"
     shutil.copytree(small_recording, old)
-    manifest = json.loads((old / "manifest.json").read_text())
+    manifest = read_json(old / "manifest.json")
     for name in ("turns.npy", "observations/fisheye_turn.npy"):
         (old / name).unlink()
         manifest["sha256"].pop(name)
-    manifest.pop("checksum", None)
-    (old / "manifest.json").write_text(json.dumps({k: v for k, v in manifest.items() if k != "content_sha256"}))
+    write_json(old / "manifest.json", manifest)
     done = deepgps_here("diagnose", "old", cwd=tmp_path)
-    assert done.returncode == 2
+    assert done.returncode == 2 and "Traceback" not in done.stderr
     assert "no images after turns" in done.stderr
-    assert "Traceback" not in done.stderr
-
-
-def test_a_foreign_file_is_not_written_over(small_recording: Path, tmp_path: Path):
-    (tmp_path / "thesis.json").write_text("{}")
-    done = deepgps_here("diagnose", str(small_recording), "--out", "thesis.json", cwd=tmp_path)
-    assert done.returncode == 2
-    assert "deepgps did not write it" in done.stderr

@@ -73,17 +73,13 @@ def test_poses_are_the_run_s_and_the_truth_is_beside_them(run, messages):
         np.testing.assert_allclose(variance, find_variances(poses)[rows])
 
 
-def test_a_radius_gives_the_variance_of_the_circle_that_holds_as_much():
-    poses = Poses(np.zeros((1, 2)), radius_68=np.array([2.0]), position_std=np.array([9.0]))
-    std = np.sqrt(find_variances(poses)[0, 0])
-    drawn = std * np.random.default_rng(0).standard_normal((100_000, 2))
-    assert (np.hypot(*drawn.T) < 2.0).mean() == pytest.approx(0.68, abs=0.005)
-
-
 def test_what_is_not_known_has_a_large_variance_and_refused_poses_a_topic_of_their_own():
     bare = Poses(np.zeros((2, 2)), yaw=np.array([np.nan, 1.0]), yaw_std=np.array([np.nan, 0.1]))
     expected = [[UNKNOWN_M2, UNKNOWN_M2, UNKNOWN_RAD2], [UNKNOWN_M2, UNKNOWN_M2, 0.01]]
     np.testing.assert_allclose(find_variances(bare), expected)
+    circle = Poses(np.zeros((1, 2)), radius_68=np.array([2.0]), position_std=np.array([9.0]))
+    drawn = np.sqrt(find_variances(circle)[0, 0]) * np.random.default_rng(0).standard_normal((100_000, 2))
+    assert (np.hypot(*drawn.T) < 2.0).mean() == pytest.approx(0.68, abs=0.005)
     one = Trajectory("training", "knn", np.arange(2.0), replace(bare, accepted=np.array([True, False])))
     good, refused = list_poses(one, 5)
     assert (good.name, refused.name) == ("/knn/pose", "/knn/refused")

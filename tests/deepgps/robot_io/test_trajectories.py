@@ -63,9 +63,6 @@ def test_csv_holds_the_poses(run: deepgps.Run, tmp_path: Path):
     expected = np.column_stack([time_s, pose.position, pose.yaw])[order]
     np.testing.assert_allclose(read, expected, atol=1e-6)
     assert (tmp_path / "csv" / "training" / "truth.csv").read_text().startswith("time_s,x_m,y_m,yaw_rad\n")
-
-
-def test_values_that_are_not_known_are_empty(tmp_path: Path):
     poses = Poses(np.zeros((2, 2)), yaw=np.array([np.nan, 1.0]), accepted=np.array([True, False]))
     write_table(tmp_path / "one.csv", Trajectory("use", "deepgps", np.array([1.5, 1e9]), poses))
     assert (tmp_path / "one.csv").read_text().splitlines()[1:] == ["1.500000,0,0,,1", "1000000000.000000,0,0,1,0"]
