@@ -13,7 +13,7 @@ from deepgps.data.checks import find_view
 from deepgps.learning.trainer import use_threads
 from deepgps.positioner.confidence import LEVELS, find_normal_radius
 from deepgps.positioner.pose import Poses, find_poses
-from deepgps.robot_io.sources import Odometry, Picture, Unwrapper, check_images, open_pictures, open_source
+from deepgps.robot_io.sources import Picture, Unwrapper, check_images, open_pictures, open_source
 from deepgps.terminal.progress import Report
 from deepgps.tracking.causes import Watch, make_monitor
 from deepgps.tracking.filter import advance, begin, estimate
@@ -45,14 +45,29 @@ class Located(NamedTuple):
     cause: str | None = None
 
 
+@dataclass(frozen=True)
+class Wish:
+    """How images are located.
+
+    Attributes:
+        method: The method; None: the first of the run.
+        frame: Frame of the poses.
+        circle: Where the image circle is in raw images; None: it fills them.
+        config: The robot.yaml of a log; None: the source is no log.
+        track: Whether the robot is tracked, by a log's wheels.
+        causes: Whether causes are named for which images are refused or suspicious.
+    """
+
+    method: str | None
+    frame: Frame
+    circle: RoundImage | None = None
+    config: Path | None = None
+    track: bool = False
+    causes: bool = False
+
+
 def locate(
-    run: Run,
-    pictures: Iterable[Picture],
-    unwrap: Unwrap,
-    method: str | None,
-    frame: Frame,
-    step: Step | None = None,
-    watch: Watch | None = None,
+    run: Run, pictures: Iterable[Picture], unwrap: Unwrap, wish: Wish, step: Step | None, watch: Watch | None
 ) -> Iterator[Located]:
     """Find the pose of each image when it comes.
 
@@ -60,15 +75,14 @@ def locate(
         run: A run whose methods have learned from polar images.
         pictures: The images.
         unwrap: Makes polar images; raises InputError where it cannot.
-        method: The method; None: the first of the run.
-        frame: Frame of the poses.
+        wish: How they are located.
         step: Tracks the robot; None: each pose is of one image alone.
         watch: Names causes; None: nobody asks for them.
 
     Raises:
         InputError: The map has no place in the world.
     """
-    alignment, positioner = run.alignment(method, frame), run.positioner(method)
+    alignment, positioner = run.alignment(wish.method, wish.frame), run.positioner(wish.method)
 
     def find(picture: Picture) -> Located:
         if picture.image is None:
@@ -120,27 +134,6 @@ def _round(value: Any) -> float | None:
     return None if value is None or not np.isfinite(value) else round(float(value), 6)
 
 
-@dataclass(frozen=True)
-class Wish:
-    """How images are located.
-
-    Attributes:
-        method: The method; None: the first of the run.
-        frame: Frame of the poses.
-        circle: Where the image circle is in raw images; None: it fills them.
-        config: The robot.yaml of a log; None: the source is no log.
-        track: Whether the robot is tracked, by a log's wheels.
-        causes: Whether causes are named for which images are refused or suspicious.
-    """
-
-    method: str | None
-    frame: Frame
-    circle: RoundImage | None = None
-    config: Path | None = None
-    track: bool = False
-    causes: bool = False
-
-
 @contextmanager
 def locate_source(run: Run, source: str, stdin: BinaryIO, wish: Wish, progress: Report) -> Iterator[Iterator[Located]]:
     """Locate the images of a source.
@@ -164,17 +157,21 @@ def locate_source(run: Run, source: str, stdin: BinaryIO, wish: Wish, progress: 
         if wish.config is None:
             if wish.track:
                 raise InputError("--track needs the wheels of a log: --config robot.yaml")
-            pictures = open_pictures(source, stdin)
-            yield locate(run, pictures, Unwrapper(shape, wish.circle), wish.method, wish.frame, watch=watch)
+            yield locate(run, open_pictures(source, stdin), Unwrapper(shape, wish.circle), wish, None, watch)
             return
         if wish.circle is not None:
             raise InputError("--centre and --radius-px: a log's camera is described by --config")
-        mirrored = wish.track and is_mirrored(run, wish.method)
+        tracker = make_tracker(run, wish.method) if wish.track else None
         view_deg = find_view(run.recording)
         with open_source(Path(source), wish.config, view_deg, wish.track, progress) as log:
             check_images(log.polar, shape, view_deg)
-            step = None if log.odometry is None else make_step(mirrored, log.odometry)
-            yield locate(run, log.read(), log.polar.unwrap, wish.method, wish.frame, step, watch)
+
+            def step(name: str, pose: Poses) -> Poses:
+                assert tracker is not None and log.odometry is not None
+                here = float(log.odometry.travelled_m[int(name)]), float(log.odometry.yaw[int(name)])
+                return tracker.step(pose, *here)
+
+            yield locate(run, log.read(), log.polar.unwrap, wish, step if wish.track else None, watch)
 
 
 def open_watch(run: Run, method: str | None) -> Watch:
@@ -185,22 +182,12 @@ def open_watch(run: Run, method: str | None) -> Watch:
     return Watch(monitor)
 
 
-def make_step(mirrored: bool, odometry: Odometry) -> Step:
-    """What tracks the robot through the images of a log, by the odometry at each."""
-    tracker = Tracker(mirrored)
-
-    def step(name: str, pose: Poses) -> Poses:
-        return tracker.step(pose, float(odometry.travelled_m[int(name)]), float(odometry.yaw[int(name)]))
-
-    return step
-
-
-def is_mirrored(run: Run, method: str | None) -> bool:
-    """Whether turns are mirrored in a method's map; raises InputError if nothing tells, as the method gives no yaw."""
+def make_tracker(run: Run, method: str | None) -> "Tracker":
+    """What tracks the robot in a method's map; raises InputError if it gives no yaw, so that this may be mirrored."""
     headings = run.positioner(method).headings
     if headings is None:
         raise InputError(f"--track: method {run.choose(method)} gives no yaw, so its map may be mirrored")
-    return headings.chirality < 0
+    return Tracker(headings.chirality < 0)
 
 
 WAY, STILL_M = 0.01, 0.001
