@@ -15,6 +15,8 @@ from sim.files.atomic import write_bytes
 from sim.files.checksums import drop_sum, write_sum
 
 Row = dict[str, Any]
+Point = dict[str, Any]
+"""Settings of a run by dotted name."""
 # figures of a method, by their names in metrics.json
 FIGURES = (
     *("rms_m", "median_m", "p75_m", "p95_m", "max_m", "relative_rms", "heading_spread_m"),

@@ -94,7 +94,7 @@ def claim_study(study: Study, folder: Path, fresh: bool) -> Iterator[Path]:
         InputError: The folder does not belong to deepgps, another process uses it, or it holds another study.
     """
     with hold(folder, STUDY):
-        place = find_place(folder, fresh)
+        place = choose_place(folder, STUDY, fresh)
         if place == folder:
             _refuse_another(study, folder)
         sweep(place, STUDY.files)
@@ -123,11 +123,6 @@ def _refuse_another(study: Study, folder: Path) -> None:
             f"{study.name} of {study.scenario}; choose another folder, or add --fresh, which replaces that study once "
             "the new one is complete"
         )
-
-
-def find_place(folder: Path, fresh: bool) -> Path:
-    """The folder that a study works in: its own, or the one in which ``fresh`` builds while a study already exists."""
-    return choose_place(folder, STUDY, fresh)
 
 
 def carry_out(study: Study, plans: Sequence[Plan], place: Path, run_all: RunAll, progress: Report) -> Failures:
@@ -162,5 +157,5 @@ def find_missing(study: Study, plans: Sequence[Plan], place: Path) -> list[Plan]
 
 def list_undriven(study: Study, plans: Sequence[Plan], folder: Path, fresh: bool) -> list[Scenario]:
     """Scenarios of the drives that ``carry_out`` would have to collect."""
-    place = find_place(folder, fresh)
+    place = choose_place(folder, STUDY, fresh)
     return list(find_undriven(plans, find_missing(study, plans, place), place).values())

@@ -132,11 +132,9 @@ def collect_all(scenarios: Mapping[str, Scenario], bases: Mapping[str, Path], ho
     for keys in (first, [key for key in scenarios if key not in first]):
         size = sum(scenarios[key].drive.samples for key in keys)
         most = count_drives(len(keys), size)
-        drives = {key: _plan_drive(scenarios[key], home / key, bases[key], most) for key in keys}
-
-        def report(done: int, before: int = before) -> None:
-            progress("recordings", before + done, total)
-
+        renderers = usable_cores() // most if most > 1 else None
+        drives = {key: CollectTask(scenarios[key], home / key, bases[key], renderers) for key in keys}
+        report = partial(lambda done, before: progress("recordings", before + done, total), before=before)
         failed |= do_all(drives, most, report) if most > 1 else _collect_in_turn(drives, report)
         before += size
     return {key: f"recording: {reason}" for key, reason in failed.items()}
@@ -180,19 +178,12 @@ def _name_training_drive(scenario: Scenario) -> str:
     return digest_recording(scenario.model_copy(update={"deployment": sim.deployment, "grid": sim.grid}))
 
 
-def _plan_drive(scenario: Scenario, folder: Path, base: Path, at_once: int) -> CollectTask:
-    return CollectTask(scenario, folder, base, usable_cores() // at_once if at_once > 1 else None)
-
-
 def _collect_in_turn(drives: Mapping[str, CollectTask], progress: Tell) -> Failures:
     """Collect drives in this process."""
     failed, before = Failures(), 0
     for key, drive in drives.items():
-
-        def report(done: int, before: int = before, size: int = drive.size) -> None:
-            progress(before + min(done, size))
-
-        if reason := attempt(partial(drive, report)):
+        tell = partial(lambda done, size, before: progress(before + min(done, size)), size=drive.size, before=before)
+        if reason := attempt(partial(drive, tell)):
             failed[key] = reason
         before += drive.size
         progress(before)

@@ -1,4 +1,4 @@
-"""The reports "seeds", "maps", "concave", "mds": folded maps, initial maps, rooms without straight drives, scaling."""
+"""The reports "seeds", "maps", "corridors", "concave", "mds": maps that are folded, wrong, or hard to make."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -7,7 +7,19 @@ import numpy as np
 
 from deepgps.studies.reports.compare import COMPARE
 from deepgps.studies.reports.compare import NOTE as COMPARE_NOTE
-from deepgps.studies.reports.record import CHOICES, ERRORS, VARIED, Curves, Scatter, StudyReport, Table, Target
+from deepgps.studies.reports.paper import compare_with_posenet
+from deepgps.studies.reports.record import (
+    CHOICES,
+    ERRORS,
+    GRID,
+    VARIED,
+    Curves,
+    Dots,
+    Scatter,
+    StudyReport,
+    Table,
+    Target,
+)
 from deepgps.studies.reports.render import FLIPPED
 from deepgps.studies.table import Row, choices, describe, is_seed, split_by
 
@@ -23,6 +35,17 @@ MAPS_NOTE = (
     "covariance expects. NEES / 2: squared error over that covariance; 1 if the covariance is right, larger if the map "
     f"is too sure. Mirrored: maps with a connected patch of more than {MIRRORED_M2:g} m2 of reversed neighbourhoods. "
     "Methods without a map by compass are left out."
+)
+SIGNS = {"fold_found": "folded", "turned": "turned", "undecided": "undecided"}
+"""Columns that say that a map is wrong, and their words: the fold detector, parts turned by the compass, the map."""
+FAR_SHARE = 0.1
+"""A map is wrong if it misplaces more than this share of the training images."""
+CORRIDORS_NOTE = (
+    f"{GRID}Map: RMS of the initial map by compass, before training. Off: share of the training images that are placed "
+    f"more than 0.5 m from the truth; a map with more than {100 * FAR_SHARE:.0f} % is wrong. Said: what the "
+    "method says of its map without the truth, and the share of the way that it finds turned. Seen: share of "
+    "positions within 0.25 m of a training image; where it is low, errors are the drive's. PoseNet and the nearest "
+    "neighbour learn from true positions, so that noise of the encoders does not change them. Base: PoseNet."
 )
 SHAPE = "room.shape"
 EDGES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 1.0)
@@ -60,6 +83,22 @@ def name_encoders(rows: Sequence[Row], varied: Sequence[str]) -> list[Row]:
 
     ours = [row for row in rows if row["map_rms_m"] is not None]
     return [{**row, "encoder": name(row), "mirrored": row["map_flipped_m2"] > MIRRORED_M2} for row in ours]
+
+
+def judge_maps(rows: Sequence[Row], varied: Sequence[str]) -> list[Row]:
+    """The same, with whether a method's own map is wrong, what is said of it without the truth, and what is not."""
+    prepared = []
+    usual = {"turned": None, "undecided": None, NOISE: None}
+    for row in compare_with_posenet([{**usual, **row} for row in rows], varied):
+        judged: Row = {"maps": None, "wrong": None, "wrong_unsaid": None, "right_said_wrong": None, "said": None}
+        judged |= {f"said_{word}": None if row[name] is None else bool(row[name]) for name, word in SIGNS.items()}
+        if row["fold_found"] is not None and row.get("misplaced") is not None:
+            wrong, words = row["misplaced"] > FAR_SHARE, [word for name, word in SIGNS.items() if row[name]]
+            judged |= {"maps": True, "wrong": wrong, "said": ", ".join(words) or "nothing"}
+            judged |= {"wrong_unsaid": wrong and not words, "right_said_wrong": bool(words) and not wrong}
+        known = [name for name in ("rms_m", "median_m") if row["base_rms_m"]]
+        prepared.append({**row, **judged, **{f"{name}_ratio": row[name] / row[f"base_{name}"] for name in known}})
+    return prepared
 
 
 def pool_by_reach(rows: Sequence[Row], varied: Sequence[str]) -> list[Row]:
@@ -111,6 +150,18 @@ def _list_targets_of_seeds() -> list[Target]:
     ]
 
 
+def _list_targets_of_corridors() -> list[Target]:
+    exact, nearest = {"method": "deepgps_compass", NOISE: (None, 0)}, "least RMS of the nearest neighbour, of {count}"
+    over, unsaid = "PoseNet's, median over worlds", "{label}: maps wrong and not said to be, of {count}"
+    return [
+        Target("compass_rms_ratio", f"RMS / {over}", "rms_m_ratio:median", exact),
+        Target("compass_median_ratio", f"median / {over}", "median_m_ratio:median", exact),
+        Target("compass_unsaid", unsaid, "wrong_unsaid:count", {"method": "deepgps_compass"}),
+        Target("deepgps_unsaid", unsaid, "wrong_unsaid:count", {"method": "deepgps"}),
+        Target("aliased_rms_m", nearest, "rms_m", {"method": "knn"}, each="recording", at_least=True),
+    ]
+
+
 def _list_targets_of_mds() -> list[Target]:
     plane = {"fold_found": (None, False), "outputs": 2}
     space = {**plane, "outputs": lambda count: count > 2}
@@ -153,6 +204,12 @@ _BY_REACH = Curves(
     also={"median_m": "median"},
     where={"kind": "reach"},
 )
+_WORLDS = Table(f"{VARIED} method", "rms_m median_m rms_m/base median_m/base map_rms_m misplaced said turned seen")
+_WRONG = Table(
+    f"{NOISE} method",
+    "maps wrong said_folded said_turned said_undecided wrong_unsaid right_said_wrong",
+    {"maps": True},
+)
 _MAP = "map_expected_rms_m map_nees"
 REPORTS = {
     "seeds": StudyReport(
@@ -171,6 +228,13 @@ REPORTS = {
         name_encoders,
         targets=_ENCODERS,
         pictures={"maps": _EXPECTED},
+    ),
+    "corridors": StudyReport(
+        (_WORLDS, _WRONG),
+        CORRIDORS_NOTE,
+        judge_maps,
+        targets=_list_targets_of_corridors(),
+        pictures={"corridors": Dots(VARIED, cross={"wrong": True})},
     ),
     "concave": StudyReport(
         (COMPARE._replace(where={"kind": "run"}), Table("reach method", "positions rms_m median_m", {"kind": "reach"})),

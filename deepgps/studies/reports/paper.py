@@ -1,11 +1,30 @@
-"""The reports "landmarks", "lidar" and "lab": our errors next to the paper's."""
+"""The reports "rooms", "landmarks", "lidar" and "lab": our errors beside PoseNet's and the paper's."""
 
 from collections.abc import Sequence
 
-from deepgps.studies.reports.record import ACCEPTED, PAPERS_ERRORS, Dots, Fields, StudyReport, Table, Target
+from deepgps.config.methods import title_of
+from deepgps.studies.reports.record import (
+    ACCEPTED,
+    ERRORS,
+    GRID,
+    PAPERS_ERRORS,
+    VARIED,
+    Dots,
+    Fields,
+    StudyReport,
+    Table,
+    Target,
+)
 from deepgps.studies.reports.render import add_base
-from deepgps.studies.table import Row, split_by_label
+from deepgps.studies.table import LEVELS, Row, split_by, split_by_label
 
+OURS = ("deepgps_compass", "deepgps")
+"""Methods whose wins are counted, each over those that are not before it."""
+ROOMS_NOTE = (
+    f"{GRID}Seen: share of positions within 0.25 m of a training image. Flipped: share of neighbourhoods that the map "
+    "flips. Base: PoseNet."
+)
+SIGN_TEST = "p is from a two-sided sign test: above 0.05, these rooms do not show which of the two is more accurate."
 REACH = "landmarks.reach_m"
 # Table I of the paper: RMS, median and maximum [m]; it has no start from MDS.
 PAPERS_LANDMARKS = {
@@ -48,6 +67,42 @@ LAB_NOTE = (
     "against the truth. Label RMS: the error of the labels themselves. The paper's figures are means and standard "
     "deviations over its six data sets."
 )
+
+
+def compare_with_posenet(rows: Sequence[Row], varied: Sequence[str]) -> list[Row]:
+    """Rows with PoseNet's errors on the same recording as base, and the names of their figures."""
+    prepared = []
+    for row in add_base(rows, {"method": "posenet"}, ["recording"]):
+        base, own = row["base_rms_m"], row["method"] == "deepgps"
+        names = ("", "") if own else (f"{row['method']}_", f"{title_of(row['method'])}, ")
+        won = None if base is None else row["rms_m"] < base
+        prepared.append({**row, "won": won, "prefix": names[0], "who": names[1]})
+    return prepared
+
+
+def count_wins(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
+    """A sentence for each of our methods and each baseline: in how many common rooms ours has the lower error."""
+    methods, sentences = split_by(rows, "method"), []
+    for own in OURS:
+        ours = {row["recording"]: row for row in methods.pop(own, [])}
+        for method, group in methods.items() if ours else ():
+            pairs = [(ours[row["recording"]], row) for row in group if row["recording"] in ours]
+            wins = [
+                _count(word, [mine[name] - other[name] for mine, other in pairs])
+                for name, word in PAPERS_ERRORS.items()
+            ]
+            sentences.append(
+                f"Of {len(pairs)} rooms, {title_of(own)} has lower errors than {title_of(method)} in {', '.join(wins)}."
+            )
+    return [*sentences, SIGN_TEST] if sentences else []
+
+
+def _count(word: str, differences: Sequence[float]) -> str:
+    from scipy.stats import binomtest  # here, since it is slow to import
+
+    wins, losses = sum(value < 0 for value in differences), sum(value > 0 for value in differences)
+    chance = binomtest(wins, wins + losses).pvalue if wins + losses else 1.0
+    return f"{wins} by {word} (p = {chance:.2g})"
 
 
 def compare_landmarks(rows: Sequence[Row], varied: Sequence[str]) -> list[Row]:
@@ -94,6 +149,30 @@ def _name_errors(prefix: str = "") -> str:
     return " ".join(prefix + name for name in PAPERS_ERRORS)
 
 
+def _list_targets_of_rooms() -> list[Target]:
+    ours, per = {"method": OURS}, "method"
+    means = {"rms_m": "RMS", "median_m": "median", "p95_m": "p95", "max_m": "max"}
+    medians = {"rms_accepted_m": "RMS of accepted", "max_accepted_m": "max of accepted"}
+    held = {f"radius_{level}_holds": f"accepted images within their {level} % radius" for level in LEVELS}
+    middle = "{{who}}{}, median over rooms"
+    return [
+        *(Target(f"{{prefix}}{of}", f"{{who}}{words}", of, per=per) for of, words in means.items()),
+        *(Target(f"{{prefix}}{of}", middle.format(words), f"{of}:median", per=per) for of, words in medians.items()),
+        *(
+            Target(f"{{prefix}}{of}", middle.format(words), f"{of}:median", per=per, at_least=True)
+            for of, words in held.items()
+        ),
+        Target("{prefix}posenet_ratio", "{who}RMS / PoseNet's RMS", "rms_m:ratio", ours, per=per),
+        Target("{prefix}wins", "{who}rooms with RMS below PoseNet's", "won:share", ours, per=per, at_least=True),
+        Target("train_s", "training", "train_s", {"method": "deepgps"}),
+    ]
+
+
+_ROOMS = Table(
+    f"{VARIED} method",
+    f"{ERRORS} {ACCEPTED} relative_rms seen flipped train_s rms_m/base",
+    summary="mean worst",
+)
 _OURS = {"method": "deepgps"}
 _TRAINING = Target("train_s", "training", "train_s", _OURS)
 _WORST = "PCA + nearest neighbour's, worst map"
@@ -122,6 +201,9 @@ _OF_LAB = (
 _MARKS = tuple((title, f"label_{name}", name) for name, title in PAPERS_ERRORS.items())
 _FIGURE = "{method}_{observations}", "RMS, {observations}, {label}", "rms_m"
 REPORTS = {
+    "rooms": StudyReport(
+        (_ROOMS,), ROOMS_NOTE, compare_with_posenet, count_wins, _list_targets_of_rooms(), {"rooms": Dots(VARIED)}
+    ),
     "landmarks": StudyReport(
         (Table("observations method", _OF_LANDMARKS, length="mm"),),
         LANDMARKS_NOTE,

@@ -5,9 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from deepgps.studies.diagnose_runs import LIMITS
 from deepgps.studies.plan import plan_runs
-from deepgps.studies.reports.diagnose import list_set
+from deepgps.studies.reports.diagnose import LIMITS, list_set
 from deepgps.studies.study import load_study
 from tests.helpers.command import deepgps_here
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from deepgps.reports.plots import to_png
 from deepgps.studies.catalog import REPORTS
-from deepgps.studies.reports import changes, compare, encoder, maps, paper, rooms
+from deepgps.studies.reports import changes, compare, encoder, maps, paper
 from deepgps.studies.reports.diagnose import QUANTITIES
 from deepgps.studies.reports.encoder import PERFECT, find_strongest, find_sweeps
 from deepgps.studies.reports.pictures import draw
@@ -184,8 +184,8 @@ def test_figures_of_what_is_accepted_are_medians_over_the_rooms_that_have_them()
 
 
 def test_wrong_maps_are_counted_by_what_is_said_of_them() -> None:
-    own = {"misplaced": 0.02, "undecided": None, "turned": 0.0, "seen": 0.9, rooms.NOISE: 0.0}
-    noisy = {**own, "misplaced": 0.6, rooms.NOISE: 0.3}
+    own = {"misplaced": 0.02, "undecided": None, "turned": 0.0, "seen": 0.9, maps.NOISE: 0.0}
+    noisy = {**own, "misplaced": 0.6, maps.NOISE: 0.3}
     rows = [
         make_row(0.3, "deepgps_compass", recording="0", **own),
         make_row(0.2, "posenet", recording="0", **{**own, "misplaced": None}),
@@ -194,7 +194,7 @@ def test_wrong_maps_are_counted_by_what_is_said_of_them() -> None:
         make_row(2.0, recording="0", **{**own, "misplaced": 0.4}) | {"fold_found": True},
         make_row(0.3, recording="1", **{**own, "turned": 0.1}) | {"fold_found": True},
     ]
-    text, figures = report_rows("corridors", rows, [rooms.NOISE])
+    text, figures = report_rows("corridors", rows, [maps.NOISE])
     assert read_cells(text)[-3:] == [
         ["0", "DeepGPS, compass", "1", "0", "0", "0", "-", "0", "0"],
         ["0.3", "DeepGPS, compass", "2", "2", "0", "0", "1", "1", "0"],
