@@ -44,8 +44,8 @@ class LiveDrive:
 
     Args:
         stream: Stream to send to.
-        folder: The recording's folder, which need not exist yet.
-        camera: Settings of the camera that takes the images.
+        folder: Folder of the recording.
+        camera: The scenario's camera.
     """
 
     def __init__(self, stream: rr.RecordingStream, folder: Path, camera: CameraSettings) -> None:

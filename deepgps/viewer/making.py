@@ -3,8 +3,9 @@
 Every stage is aligned with the last, and that with the true places; without truth, the map is in its own frame.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -14,7 +15,7 @@ from deepgps.data.segments import find_starts
 from deepgps.evaluation.map_errors import read_known_map
 from deepgps.initial_map.stored_map import StoredMap
 from deepgps.viewer.scene import LAYER_M, lift
-from deepgps.viewer.stream import Rows, making_rows, put, put_text
+from deepgps.viewer.stream import making_rows, put, put_text
 from sim.alignment import Alignment, fit_alignment
 from sim.recording.format import Recording
 
@@ -59,35 +60,40 @@ def log_making(stream: rr.RecordingStream, stored: StoredMap, recording: Recordi
         at = making_rows(stage, last)
         own = fit_alignment(stored.stage_places[stage][known].astype(float), final[known], "SE2")
         places = own.apply(stored.stage_places[stage].astype(float))
-        _log_path(stream, places, rows, stored.undecided, at)
-        _log_turns(stream, stored, places, own.turn(stored.stage_heading[stage].astype(float)), at)
-        _log_closures(stream, stored, places, stage, at)
+        heading = own.turn(stored.stage_heading[stage].astype(float))
         off_m = None if place is None else float(np.sqrt(((places - place)[known] ** 2).sum(axis=1).mean()))
-        words = _describe(stored, stage, off_m)
+        words, larger = _describe(stored, stage, off_m), enlarge(stored)
+        drawn = [
+            *_draw_path(places, rows, stored.undecided),
+            _draw_turns(stored, places, heading),
+            *_draw_closures(stored, places, stage),
+        ]
         if stage == last:
-            larger = _log_ellipses(stream, stored, world, at)
+            drawn.append(_draw_ellipses(stored, world, larger))
             size = f"drawn {larger:g} times as large" if larger > 1.0 else "at their true size"
             words += [f"Ellipses: {SIGMAS:g} standard deviations, {size}."]
+        for name, strips, radius_m, colours, said in drawn:
+            put(stream, f"{MAKING}/{name}", rr.LineStrips3D(strips, radii=radius_m, colors=colours), at, said)
         put_text(stream, TEXT, "\n\n".join([*words, LEGEND]), at)
 
 
-def _log_path(
-    stream: rr.RecordingStream, places: np.ndarray, rows: list[np.ndarray], undecided: np.ndarray, at: Rows
-) -> None:
-    """Log the segments, those that end undecided in a colour of their own."""
+Lines = tuple[str, list[np.ndarray], float, Any, dict[str, list[str]]]
+"""Entity, lines (n, 3) [m], their radius [m] and colours, and what the tooltip says of each, by its name."""
+
+
+def _draw_path(places: np.ndarray, rows: list[np.ndarray], undecided: np.ndarray) -> Iterator[Lines]:
+    """The segments, those that end undecided in a colour of their own."""
     strips = {"path": [], "undecided": []}
     for row in rows:
         points = row[np.isfinite(places[row, 0])]
         if len(points) > 1:
             strips["undecided" if undecided[points].mean() > 0.5 else "path"].append(lift(places[points], LAYER_M))
     for name, colour in (("path", PATH), ("undecided", WARNING)):
-        put(stream, f"{MAKING}/{name}", rr.LineStrips3D(strips[name], radii=0.004, colors=[colour]), at)
+        yield name, strips[name], 0.004, [colour], {}
 
 
-def _log_turns(
-    stream: rr.RecordingStream, stored: StoredMap, places: np.ndarray, heading: np.ndarray, at: Rows
-) -> None:
-    """Log an arc at each turn, from the heading before to the heading after, with a stroke along the latter."""
+def _draw_turns(stored: StoredMap, places: np.ndarray, heading: np.ndarray) -> Lines:
+    """An arc at each turn, from the heading before to the heading after, with a stroke along the latter."""
     before = stored.turn[:, 0]
     shown = np.isfinite(places[before, 0])
     before, angle, std = before[shown], stored.turn_angle[shown], np.degrees(stored.turn_std[shown])
@@ -95,41 +101,35 @@ def _log_turns(
     arcs = places[before, None] + ARC_M * np.stack([np.cos(sweep), np.sin(sweep)], axis=2)
     strips = np.concatenate([arcs, places[before, None]], axis=1)
     said = [f"{one:+.1f}° ± {err:.2f}°" for one, err in zip(np.degrees(angle), std, strict=True)]
-    lines = rr.LineStrips3D([lift(strip, 2 * LAYER_M) for strip in strips], radii=0.003, colors=[TURN])
-    put(stream, f"{MAKING}/turns", lines, at, {"turned": said})
+    return "turns", [lift(strip, 2 * LAYER_M) for strip in strips], 0.003, [TURN], {"turned": said}
 
 
-def _log_closures(stream: rr.RecordingStream, stored: StoredMap, places: np.ndarray, stage: int, at: Rows) -> None:
-    """Log a line between the two ends of each loop closure; before the first round, none is judged."""
+def _draw_closures(stored: StoredMap, places: np.ndarray, stage: int) -> Iterator[Lines]:
+    """A line between the two ends of each loop closure; before the first round, none is judged."""
     ends = places[stored.closure]
     shown, believed = np.isfinite(ends).all(axis=(1, 2)), stored.stage_believed[stage]
     for name, chosen, colour in (
         ("refused", shown & ~believed, OPEN if stored.stage[stage] == 0 else REFUSED),
         ("believed", shown & believed, BELIEVED),
     ):
-        strips = [lift(pair, 3 * LAYER_M) for pair in ends[chosen]]
         apart = np.linalg.norm(ends[chosen, 0] - ends[chosen, 1], axis=1)
         turned = np.degrees(stored.closure_turn[chosen])
         said = [
             f"images {one} and {other}, {100 * away:.0f} cm apart" + ("" if np.isnan(angle) else f", {angle:+.1f}°")
             for (one, other), away, angle in zip(stored.closure[chosen], apart, turned, strict=True)
         ]
-        lines = rr.LineStrips3D(strips, radii=0.003, colors=[colour])
-        put(stream, f"{MAKING}/{name}", lines, at, {"alike": said})
+        yield name, [lift(pair, 3 * LAYER_M) for pair in ends[chosen]], 0.003, [colour], {"alike": said}
 
 
-def _log_ellipses(stream: rr.RecordingStream, stored: StoredMap, world: Alignment, at: Rows) -> float:
-    """Log ellipses of the positions' errors at some observations, and return how many times larger they are drawn."""
+def _draw_ellipses(stored: StoredMap, world: Alignment, larger: float) -> Lines:
+    """Ellipses of the positions' errors at some observations."""
     known = np.flatnonzero(stored.known)
     some = known[np.linspace(0, len(known) - 1, min(ELLIPSES, len(known))).astype(int)]
-    larger = enlarge(stored)
     outlines = outline_ellipses(stored.covariance[some], SIGMAS * larger) @ world.rotation.T
     strips = [lift(one, 4 * LAYER_M) for one in outlines + world.apply(stored.places[some])[:, None]]
     colours = np.where(stored.undecided[some, None], WARNING, (255, 255, 255)).astype(np.uint8)
     said = [f"± {100 * one:.2f} cm (RMS)" for one in stored.expected[some]]
-    lines = rr.LineStrips3D(strips, radii=0.004, colors=colours)
-    put(stream, f"{MAKING}/ellipses", lines, at, {"expected": said})
-    return larger
+    return "ellipses", strips, 0.004, colours, {"expected": said}
 
 
 def enlarge(stored: StoredMap) -> float:

@@ -1,9 +1,12 @@
-"""The layout in a recording, for tests of what its views show."""
+"""The layout in a recording, for tests of what its views show, and whether a recording is whole."""
 
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
 from rerun.chunk import RrdReader
+
+from deepgps.viewer.connect import find_viewer
 
 OVERRIDES = "/ViewContents/overrides/"
 
@@ -42,3 +45,10 @@ def is_shown(entity: str, shown: str) -> bool:
     """Whether a path of a view takes in an entity."""
     root = shown.removesuffix("/**")
     return entity == shown or (shown.endswith("/**") and f"{entity}/".startswith(f"{root}/".lstrip("/")))
+
+
+def call_rerun(*words: str | Path) -> None:
+    """Let Rerun's own program verify or compare recordings; what is wrong is an AssertionError."""
+    command = [find_viewer(), "rrd", *map(str, words)]
+    done = subprocess.run(command, check=False, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr

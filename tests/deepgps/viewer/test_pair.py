@@ -2,7 +2,6 @@
 
 import re
 import shutil
-import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -12,13 +11,12 @@ import rerun as rr
 from rerun.chunk import RrdReader
 
 from deepgps.config.scenario import Scenario, write_out
-from deepgps.viewer.connect import find_viewer
 from deepgps.viewer.pair import Pair, colours_of_change, describe_pair, open_pair, scale_change, write_pair
 from deepgps.viewer.read import read_entity, read_error_table
 from deepgps.viewer.show import view
 from sim.errors import InputError
 from sim.files.checksums import sha256, write_lines
-from tests.helpers.blueprints import find_missing
+from tests.helpers.blueprints import call_rerun, find_missing
 from tests.helpers.command import deepgps_here
 from tests.helpers.synthetic_run import METHODS, write_synthetic_run
 
@@ -156,8 +154,7 @@ def test_the_same_pair_gives_the_same_file_and_both_runs_stay_as_they_are(copied
     assert write_pair(copied) == first
     assert files() == before
     assert [path.name for path in copied[1].rglob("*.rrd")] == []
-    command = [find_viewer(), "rrd", "compare", "--unordered", str(kept), str(first)]
-    assert subprocess.run(command, check=False, capture_output=True, timeout=60).returncode == 0
+    call_rerun("compare", "--unordered", kept, first)
     kept.unlink()
     write_lines(copied[1] / "scenario.yaml", "name: living_room\nlearn: {seed: 7}\n")
     assert write_pair(copied) != first
@@ -165,9 +162,7 @@ def test_the_same_pair_gives_the_same_file_and_both_runs_stay_as_they_are(copied
 
 def test_every_view_shows_what_was_logged_and_the_file_verifies(written: Path) -> None:
     assert find_missing(written) == []
-    command = [find_viewer(), "rrd", "verify", str(written)]
-    verified = subprocess.run(command, check=False, capture_output=True, text=True, timeout=60)
-    assert verified.returncode == 0, verified.stderr
+    call_rerun("verify", written)
 
 
 def test_the_command_writes_a_missing_or_damaged_recording_and_says_where_it_is(

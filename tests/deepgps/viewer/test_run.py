@@ -2,9 +2,10 @@
 
 import re
 import shutil
-import subprocess
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -15,29 +16,25 @@ from rerun.chunk import RrdReader
 from scipy.spatial.distance import pdist
 
 from deepgps.config.methods import title_of
-from deepgps.evaluation.error_field import read_all_headings, read_fields, split_by_acceptance
-from deepgps.reports.run_report import describe
-from deepgps.viewer import drive
+from deepgps.evaluation.error_field import find_worst, read_all_headings, split_by_acceptance
+from deepgps.viewer import drive, places
 from deepgps.viewer import run as recording
-from deepgps.viewer.connect import find_viewer
 from deepgps.viewer.drive import ROBOT
 from deepgps.viewer.error_field import COVERAGE, DENSITY
 from deepgps.viewer.pictures import choose_views, write_pictures
-from deepgps.viewer.places import PICTURES, find_places, turn_picture
+from deepgps.viewer.places import PICTURES, find_alike, find_places, turn_picture
 from deepgps.viewer.read import read_entity, read_error_field, read_error_table
 from deepgps.viewer.run import RECORDING, find_recording, write_run
 from deepgps.viewer.show import view
 from deepgps.viewer.stream import DRIVE_TIME, PLACE, PROGRESS, PROGRESS_END_S, STEP
 from sim.errors import InputError, WorkError
-from sim.files.checksums import read_json, write_json
 from sim.recording.format import finish_recording, read_manifest
 from sim.sensors.camera.lens import make_lens, project_polar
 from sim.settings import CameraSettings
-from tests.helpers.blueprints import find_missing, read_layout
+from tests.helpers.blueprints import call_rerun, find_missing, read_layout
 from tests.helpers.synthetic_run import METHODS, REFUSING, write_synthetic_run
 
 SAMPLES = 60
-ROOT = Path(__file__).parents[3]
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +53,7 @@ def copied(run: Path, tmp_path: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def changed(run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A copy with large pictures, a long drive, a wrong track, a method that failed, and no training histories."""
+    """A copy with large pictures, a long drive, a wrong track, and no training histories."""
     folder = Path(shutil.copytree(run, tmp_path_factory.mktemp("changed") / "copy"))
     observation, poses = choose_views(folder)
     assert len(observation) == len(poses) <= SAMPLES
@@ -67,9 +64,6 @@ def changed(run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     manifest["odometry"]["track_m"] *= 1.1
     manifest["settings"]["encoder"] = {"track_error": 0.1}
     finish_recording(path.parent, manifest)
-    metrics = read_json(folder / "metrics.json")
-    metrics["methods"]["deepgps"]["scale"] = 0.5
-    write_json(folder / "metrics.json", metrics)
     for path in folder.glob("*/history.npz"):
         path.unlink()
     with pytest.MonkeyPatch.context() as patch:
@@ -101,19 +95,16 @@ def read_flat(path: Path, entity: str, component: str) -> np.ndarray | list:
 def test_error_fields_read_back_as_they_were_measured_alone_and_in_the_table(run: Path) -> None:
     table = read_error_table(run / RECORDING)
     assert table.column_names == ["x_m", "y_m", "predicted_x_m", "predicted_y_m", "error_m", "heading_deg", "method"]
-    with np.load(run / "error_field.npz") as arrays:
-        truth, measured = arrays["truth"], {method: arrays[method] for method in METHODS}
-    assert table.num_rows == len(METHODS) * len(truth)
-    for method, predicted in measured.items():
-        error = np.linalg.norm(predicted - truth[:, None], axis=-1)
-        worst = predicted[np.arange(len(error)), error.argmax(axis=1)]
+    measured = {name: find_worst(field) for name, field in read_all_headings(run).items()}
+    assert table.num_rows == sum(len(field.error) for field in measured.values()) and list(measured) == list(METHODS)
+    for method, worst in measured.items():
         field = read_error_field(run / RECORDING, method)
         rows = table.filter(pc.field("method") == method)
         of_table = (np.column_stack([rows[f"{of}{axis}_m"] for axis in "xy"]) for of in ("", "predicted_"))
         for shown in ((field.truth, field.predicted, field.error), (*of_table, rows["error_m"])):
-            for one, expected in zip(shown, (truth, worst, error.max(axis=1)), strict=True):
+            for one, expected in zip(shown, (worst.truth, worst.predicted, worst.error), strict=True):
                 np.testing.assert_allclose(one, expected, atol=1e-6)
-        np.testing.assert_allclose(field.predicted, read_fields(run)[method].predicted, atol=1e-6)
+        np.testing.assert_allclose(worst.error, np.linalg.norm(worst.predicted - worst.truth, axis=1))
 
 
 def test_what_is_not_there_is_one_line_with_what_is(run: Path) -> None:
@@ -126,16 +117,13 @@ def test_what_is_not_there_is_one_line_with_what_is(run: Path) -> None:
             read(run / RECORDING, wrong)
 
 
-def test_the_examples_of_reading_back_work(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    page = (ROOT / "docs" / "how-to" / "viewer.md").read_text(encoding="utf-8")
-    blocks = re.findall(r"```python\n(.*?)```", page, re.S)
-    examples = [block for block in blocks if "read_error_table" in block]
-    assert examples
-    for example in examples:
-        code, found = re.subn(r'"runs/[^"]*run\.rrd"', repr(str(run / RECORDING)), example)
-        assert found
-        exec(code, {})
-        assert capsys.readouterr().out
+def test_the_example_of_reading_back_works(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    page = (Path(__file__).parents[3] / "docs" / "how-to" / "viewer.md").read_text(encoding="utf-8")
+    (example,) = [block for block in re.findall(r"```python\n(.*?)```", page, re.S) if "read_error_table" in block]
+    code, found = re.subn(r'"runs/[^"]*run\.rrd"', repr(str(run / RECORDING)), example)
+    assert found
+    exec(code, {})
+    assert capsys.readouterr().out
 
 
 def test_the_errors_of_each_snapshot_read_back(run: Path) -> None:
@@ -164,22 +152,22 @@ def test_only_snapshots_of_deepgps_are_turned_over(run: Path) -> None:
 
 
 def test_drive_and_training_are_there_row_by_row(run: Path) -> None:
-    counts = rows_by_entity(run / RECORDING)
-    readings = len(np.load(run / "recording" / "reading.npy"))
-    for path in ("drive/distance/encoder", "drive/distance/truth", "drive/difference", "drive/segment_error"):
-        assert counts[f"/{path}"] == readings
-    for path in ("drive/fisheye", "drive/polar", ROBOT):
-        assert counts[f"/{path}"] == SAMPLES
+    counts, readings = rows_by_entity(run / RECORDING), len(np.load(run / "recording" / "reading.npy"))
+    expected = dict.fromkeys(["/drive/fisheye", "/drive/polar", f"/{ROBOT}"], SAMPLES)
+    for path in (
+        *("drive/distance/encoder", "drive/distance/truth", "drive/difference", "drive/segment_error"),
+        *("world/reckoned/place", "world/reckoned/drift", "world/reckoned/leg", "encoders/drift"),
+    ):
+        expected[f"/{path}"] = readings
     for name in ("deepgps", "posenet", "dead_reckoned_labels"):
         with np.load(run / name / "history.npz") as history:
-            assert counts[f"/training/{name}/loss"] == len(history["loss"])
+            expected[f"/training/{name}/loss"] = len(history["loss"])
             for path in (f"training/{name}", f"training_error/{name}", f"training_error/{name}/places"):
-                assert counts[f"/world/{path}"] == len(history["snapshot"])
-    for path in ("world/reckoned/place", "world/reckoned/drift", "world/reckoned/leg", "encoders/drift"):
-        assert counts[f"/{path}"] == readings
-    assert counts["/world/reckoned/path"] == counts["/world/drive/path"]
-    assert {"/encoders/faults", "/encoders/segments"} <= set(counts)
-    assert {"/world/room", "/world/floor_plan", "/report/figures", "/report/text"} <= set(counts)
+                expected[f"/world/{path}"] = len(history["snapshot"])
+    assert expected.items() <= counts.items()
+    assert counts["/world/reckoned/path"] == counts["/world/drive/path"] > 0
+    assert {"/encoders/faults", "/encoders/segments", "/report/figures", "/report/text"} <= set(counts)
+    assert {"/world/room", "/world/floor_plan"} <= set(counts)
 
 
 def test_ticks_are_counted_from_reading_to_reading_of_a_segment(run: Path) -> None:
@@ -189,32 +177,31 @@ def test_ticks_are_counted_from_reading_to_reading_of_a_segment(run: Path) -> No
     np.testing.assert_array_equal(np.concatenate(rows["Scalars:scalars"].to_pylist()), expected)
 
 
-@pytest.mark.parametrize("method", ["posenet", "knn"])
-def test_every_arrow_and_dot_says_its_error_in_the_tooltip(run: Path, method: str) -> None:
+def test_every_arrow_and_dot_says_its_error_in_the_tooltip(run: Path) -> None:
     """The viewer lists at most three components that differ from arrow to arrow."""
-    accepted, refused = split_by_acceptance(read_all_headings(run)[method])
-    large = accepted.error > 0.1
-    assert (len(refused.error) > 0) == (method in REFUSING)
-    for part, field, before in (
-        ("above_10_cm", accepted.take(large), ""),
-        ("below_10_cm", accepted.take(~large), ""),
-        ("refused", refused, "refused: "),
-    ):
-        radii = [""] * len(field.error) if field.radius is None else [f" (± {100 * one:.1f})" for one in field.radius]
-        expected = [
-            f"{before}{100 * error:.1f}{within} cm, {round(np.degrees(heading)) % 360}° → {x:z.2f}, {y:z.2f}"
-            for error, within, heading, (x, y) in zip(field.error, radii, field.heading, field.predicted, strict=True)
-        ]
-        for shape, position in (("arrows", "LineStrips3D:strips"), ("places", "Points3D:positions")):
-            rows = read_entity(run / RECORDING, f"world/error_field/{method}/worst/{part}/{shape}")
-            values = {
-                name: column.combine_chunks().flatten()
-                for name, column in zip(rows.column_names, rows.columns, strict=True)
-            }
-            assert values["error"].to_pylist() == expected
-            assert values["method"].to_pylist() == [title_of(method)]
-            assert len(values[position]) == len(expected)
-            assert sum(len(column) > 1 for column in values.values()) <= 3
+    for method in ("posenet", "knn"):
+        accepted, refused = split_by_acceptance(read_all_headings(run)[method])
+        large = accepted.error > 0.1
+        assert (len(refused.error) > 0) == (method in REFUSING)
+        for part, field, before in (
+            ("above_10_cm", accepted.take(large), ""),
+            ("below_10_cm", accepted.take(~large), ""),
+            ("refused", refused, "refused: "),
+        ):
+            radii = field.error if field.radius is None else field.radius
+            expected = [
+                f"{before}{100 * error:.1f}{'' if field.radius is None else f' (± {100 * radius:.1f})'} cm, "
+                f"{round(np.degrees(heading)) % 360}° → {x:z.2f}, {y:z.2f}"
+                for error, radius, heading, (x, y) in zip(
+                    field.error, radii, field.heading, field.predicted, strict=True
+                )
+            ]
+            for shape, position in (("arrows", "LineStrips3D:strips"), ("places", "Points3D:positions")):
+                rows = read_entity(run / RECORDING, f"world/error_field/{method}/worst/{part}/{shape}")
+                values = {name: rows[name].combine_chunks().flatten() for name in rows.column_names}
+                assert values["error"].to_pylist() == expected and len(values[position]) == len(expected)
+                assert values["method"].to_pylist() == [title_of(method)]
+                assert sum(len(column) > 1 for column in values.values()) <= 3
 
 
 def test_each_heading_can_be_switched_on(run: Path) -> None:
@@ -319,7 +306,7 @@ def test_a_worst_place_shows_its_radii_and_says_whether_it_was_refused(run: Path
 
 def test_the_recording_is_whole_without_wall_clock(run: Path) -> None:
     path = run / RECORDING
-    call_rerun("verify", str(path))
+    call_rerun("verify", path)
     names = {name for chunk in RrdReader(path).stream() for name in chunk.timeline_names}
     assert names == {DRIVE_TIME, STEP, PLACE, PROGRESS}
     assert find_missing(path) == []
@@ -350,25 +337,6 @@ def test_the_last_minutes_are_as_long_on_the_timeline_of_all(changed: Path) -> N
     assert starts == {-60, -120}
 
 
-def test_the_first_page_begins_with_what_is_wrong(changed: Path) -> None:
-    (text,) = read_flat(changed / RECORDING, "report/figures", "TextDocument:text")
-    lines = str(text).splitlines()
-    (wrong,) = (place for place, line in enumerate(lines) if line.startswith("- **Not converged: DeepGPS (scale 0.50)"))
-    assert wrong < lines.index(f"- {describe(read_json(changed / 'metrics.json'))[0]}")
-    assert any("% accepted" in line for line in lines[:wrong])
-
-
-def test_a_cut_off_recording_is_one_clear_line(copied: Path) -> None:
-    path = copied / RECORDING
-    content = path.read_bytes()
-    (copied / f"{RECORDING}.sha256").unlink()  # as a version before checksums left it
-    for keep in (0.999, 0.3, 0.0):
-        path.write_bytes(content[: int(keep * len(content))])
-        with pytest.raises(InputError, match=r"run.rrd is truncated or no recording") as caught:
-            view([copied])
-        assert "\n" not in str(caught.value)
-
-
 def test_a_missing_or_damaged_recording_is_made_again_the_same(
     run: Path, copied: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -378,15 +346,10 @@ def test_a_missing_or_damaged_recording_is_made_again_the_same(
     assert find_recording(copied) == path
     assert f"{path} is damaged" in caplog.text
     assert len({RrdReader(one).recordings()[0].recording_id for one in (run / RECORDING, path)}) == 1
-    call_rerun("compare", "--unordered", str(run / RECORDING), str(path))
+    call_rerun("compare", "--unordered", run / RECORDING, path)
     path.unlink()
     monkeypatch.setattr(recording, "write_run", lambda folder: ("written", folder))
     assert find_recording(copied) == ("written", copied)
-
-
-def call_rerun(*words: str) -> None:
-    done = subprocess.run([find_viewer(), "rrd", *words], check=False, capture_output=True, text=True, timeout=60)
-    assert done.returncode == 0, done.stderr
 
 
 def test_a_folder_that_is_no_run_or_half_a_run_is_refused_and_left_alone(copied: Path, tmp_path: Path) -> None:
@@ -409,3 +372,26 @@ def test_no_display_and_no_viewer_are_one_clear_line_each(run: Path, monkeypatch
     monkeypatch.setenv("PATH", "/nonexistent")
     with pytest.raises(WorkError, match="the Rerun viewer is missing"):
         view([run])
+
+
+@pytest.mark.parametrize(
+    ("kind", "shape", "turn"),
+    [("polar_image", (16, 128, 3), 6), ("polar_image", (5, 61, 3), 0), ("scan", (4, 45), 9), ("vector", (12,), 0)],
+)
+def test_an_observation_is_most_like_itself_at_any_turn(
+    kind: str, shape: tuple[int, ...], turn: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(places, "CHUNK", 7)
+    known = np.random.default_rng(0).integers(0, 255, (20, *shape))
+    known = known.astype(np.uint8 if kind == "polar_image" else np.float32)
+    tests: Any = SimpleNamespace(observation=known, kind=kind)
+    found = find_alike(tests, np.roll(known, turn, axis=min(2, known.ndim - 1)) if turn else known, 2)
+    assert found.shape == (20, 2)
+    np.testing.assert_array_equal(found[:, 0], np.arange(20))
+
+
+def test_of_a_long_recording_every_few_observations_are_compared(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(places, "MAX_COMPARED", 10)
+    known = np.random.default_rng(1).normal(size=(30, 6)).astype(np.float32)
+    recording: Any = SimpleNamespace(observation=known, kind="vector")
+    np.testing.assert_array_equal(find_alike(recording, known[[3, 12]], 1)[:, 0], [3, 12])
