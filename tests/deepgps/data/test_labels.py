@@ -5,7 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import deepgps
+from deepgps.config.learning import LearnSettings
 from deepgps.data.labels import read_places
+from deepgps.methods.fit import fit_method
 from sim.alignment import fit_alignment
 from sim.apriltag.bundle_adjustment import TagMap, find_level, flatten, write_labels
 from sim.errors import WorkError
@@ -20,6 +23,7 @@ from sim.settings import (
     TagCameraSettings,
 )
 from tests.helpers.synthetic_tags import CAMERA, make_scene
+from tests.helpers.toy import make_toy
 
 LAB = SimSettings(
     room=RoomSettings(kind="lab", seed=10),
@@ -73,10 +77,21 @@ def test_test_samples_are_of_the_same_drive_and_the_images_are_kept(lab: Path):
     assert truth.free_space.is_free(truth.test_pose[:, 0, :2]).mean() > 0.9
 
 
-def test_without_labels_they_learn_from_the_truth(small_recording: Path):
-    index, place = read_places(open_recording(small_recording))
-    assert index.tolist() == list(range(300))
-    np.testing.assert_array_equal(place.numpy(), open_truth(small_recording).pose[:, :2])
+def test_places_are_those_of_labels_where_there_are_any_and_else_of_the_truth(tmp_path: Path):
+    toy = make_toy(tmp_path / "toy", samples=60)
+    pose = open_truth(toy.folder).pose
+    index, place = read_places(toy)
+    assert index.tolist() == list(range(len(pose)))
+    np.testing.assert_array_equal(place.numpy(), pose[:, :2])
+    labels = pose + [1.0, 2.0, 0.0]
+    labels[::3] = np.nan
+    arrays = toy.observation, toy.reading, toy.time, toy.manifest.odometry
+    folder = deepgps.write_recording(tmp_path / "lab", *arrays, kind="vector", pose=pose, labels=labels)
+    index, place = read_places(open_recording(folder))
+    assert index.tolist() == np.flatnonzero(np.arange(len(pose)) % 3).tolist()
+    np.testing.assert_array_equal(place.numpy(), labels[index.numpy(), :2])
+    learned = fit_method("knn", open_recording(folder), LearnSettings(), 0, tmp_path / "knn")
+    np.testing.assert_allclose(learned(toy.observation[1:2]), labels[1:2, :2], atol=1e-3)
 
 
 @pytest.mark.slow

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
+import matplotlib
 import numpy as np
 import pytest
 from hypothesis import given
@@ -112,6 +113,16 @@ def test_refused_images_are_grey_and_the_others_have_colours(run: Path) -> None:
     assert "grey: images that the method refuses" in figure.legends[0].texts[0].get_text()
     assert f"{100 * accepted.mean():.1f} % of images accepted" in figure.axes[0].get_title()
     assert not draw_error_field(make_free_space(), field, "knn").legends
+
+
+def test_a_foreign_backend_changes_no_figure(run: Path) -> None:
+    field, space, before = read_all_headings(run)["knn"], make_free_space(), matplotlib.get_backend()
+    drawn = to_png(draw_error_field(space, field, "knn"))
+    matplotlib.use("svg")
+    try:
+        assert to_png(draw_error_field(space, field, "knn")) == drawn
+    finally:
+        matplotlib.use(before)
 
 
 def test_the_risk_coverage_curve_begins_with_all_images_and_never_is_below_that_by_the_error(run: Path) -> None:
