@@ -61,17 +61,6 @@ def test_drives_at_once_give_the_same_bytes(
     assert found[0] == found[1]
 
 
-def test_a_drive_that_fails_fails_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    at_once(monkeypatch, 2)
-    plans, home = plan(tmp_path / "study", PLANES, "plane.yaml"), tmp_path / "recordings"
-    scenarios = {one.recording: one.scenario for one in plans}
-    bad, good = scenarios
-    home.mkdir()
-    (home / bad).write_text("in the way")
-    failures = collect_all(scenarios, {key: home / key for key in scenarios}, home, ignore)
-    assert list(failures) == [bad] and failures[bad].startswith("recording: ") and is_whole(home / good)
-
-
 @pytest.mark.slow
 def test_drives_whose_base_fails_make_their_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     at_once(monkeypatch, 2)
@@ -84,11 +73,15 @@ def test_drives_whose_base_fails_make_their_own(tmp_path: Path, monkeypatch: pyt
 
 
 @pytest.mark.parametrize("cores", [1, 2])
-def test_a_bug_in_a_drive_fails_it_alone(cores: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_drive_that_fails_and_one_with_a_bug_fail_alone(cores: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     at_once(monkeypatch, cores)
-    bad, good = plan(tmp_path / "study", PLANES, "plane.yaml")
+    bad, blocked, good = plan(tmp_path / "study", [*PLANES, {"landmarks.count": 22}], "plane.yaml")
     broken = bad.scenario.model_copy(update={"world": "nowhere"})
-    scenarios = {bad.recording: broken, good.recording: good.scenario}
-    failures = collect_all(scenarios, {key: tmp_path / key for key in scenarios}, tmp_path, ignore)
-    assert list(failures) == [bad.recording] and is_whole(tmp_path / good.recording)
+    scenarios = {bad.recording: broken, blocked.recording: blocked.scenario, good.recording: good.scenario}
+    home = tmp_path / "recordings"
+    home.mkdir()
+    (home / blocked.recording).write_text("in the way")
+    failures = collect_all(scenarios, {key: home / key for key in scenarios}, home, ignore)
+    assert set(failures) == {bad.recording, blocked.recording} and is_whole(home / good.recording)
     assert re.match("recording: [A-Z][A-Za-z]+Error: .*nowhere", failures[bad.recording])
+    assert failures[blocked.recording].startswith("recording: ")

@@ -33,26 +33,6 @@ def make_small(world: str, methods: list[str], folder: Path, *settings: str) -> 
     return folder
 
 
-def test_the_studies_are_the_papers_experiments():
-    landmarks, lidar, lab = (
-        [plan.scenario for plan in plan_runs(load_study(name, tiny=False))] for name in ("landmarks", "lidar", "lab")
-    )
-    assert {one.landmarks.reach_m for one in landmarks} == {None, 0.6}
-    for one in landmarks:
-        assert (one.world, one.landmarks.count, one.landmarks.segments) == ("landmarks", 128, 128)
-        assert (one.drive.spacing_m, one.encoder.step_noise) == (0.02, 0.0)
-    assert [one.obstacles.seed for one in lidar] == [0, 1, 2, 3]
-    for one in lidar:
-        assert (one.lidar.rays, one.drive.samples) == (256, 10_000)
-        assert one.learn.pca.headings == 100
-        # A heading that all four scans of a place share would make it easier than it is.
-        assert (one.lidar.rays * np.arange(1, 5) / one.grid.headings % 1 > 0).all()
-    assert [one.seed for one in lab] == [0, 1, 2, 3, 4, 5]
-    for one in lab:
-        assert (one.room.kind, one.room.seed, one.tag_camera.mounted) == ("lab", 0, True)
-        assert (one.drive.strategy, one.drive.samples, one.grid.held_out) == ("endpoint", 1570, 314)
-
-
 def test_methods_and_settings_are_refused_in_worlds_without_what_they_need():
     for world, settings, field in (
         ("landmarks", {"tag_camera.mounted": "true"}, "tag_camera.mounted"),

@@ -60,17 +60,6 @@ def test_rooms_and_seeds_repeat_and_all_else_is_compared() -> None:
     assert values == pytest.approx({"travel_ratio": 25.0, "samples_ratio": 2.0, "way_ratio": 20.0})
 
 
-def test_networks_are_judged_as_they_train_with_shifted_images() -> None:
-    def network(name: str, rms: float, turn: float = 0.0, shift: bool = True) -> Row:
-        return make_row(rms, turn_spread_m=turn, **{compare.NETWORK: name, compare.SHIFT: shift})
-
-    rows = [network("invariant", 0.03, 2e-6), network("resnet_paper", 0.06, 0.02)]
-    rows += [network("resnet_plain", 0.12, 0.05), network("resnet_plain", 0.90, 0.5, shift=False)]
-    values = values_of("networks", [{**row, "samples": 1, "distance_m": 1.0, "train_s": 1.0} for row in rows])
-    assert (values["plain_ratio"], values["plain_turned"]) == pytest.approx((2.0, 2.5))
-    assert (values["resnet_plain"], values["invariant_turned"]) == pytest.approx((0.12, 2e-6))
-
-
 # --- curves
 
 SAMPLES = (500.0, 1000.0, 4000.0, 16000.0)
@@ -171,16 +160,6 @@ def test_targets_are_met_or_missed_by_the_mean_of_the_rooms_and_wins_are_counted
     assert find_line(text, "RMS / PoseNet's RMS")[:5] == ["1.00", "-", "1.50", "<= 1.05", "met"]
     assert find_line(text, "rooms with RMS below PoseNet's")[0] == "50.0 %"
     assert "Of 2 rooms, DeepGPS has lower errors than PoseNet in 1 by RMS (p = 1), 0 by median (p = 1)" in text
-
-
-def test_figures_of_what_is_accepted_are_medians_over_the_rooms_that_have_them() -> None:
-    held = [0.5 + 0.01 * number for number in range(10)]
-    rows = [make_row(0.02, recording=str(share), radius_68_holds=share, rms_accepted_m=share) for share in held]
-    rows[-1]["radius_68_holds"] = None
-    _, figures = report_rows("rooms", [{**row, "train_s": 1.0} for row in rows], ["recording"])
-    assert figures["radius_68_holds"].value == pytest.approx(np.median(held[:-1]))
-    assert (figures["radius_68_holds"].worst, figures["rms_accepted_m"].worst) == (held[0], held[-1])
-    assert "max_accepted_m" not in figures
 
 
 def test_wrong_maps_are_counted_by_what_is_said_of_them() -> None:
@@ -373,28 +352,6 @@ def test_the_page_says_which_encoder_is_enough() -> None:
     assert find_line(report_rows("encoder", SWEEPS)[0], "ticks per revolution", "16") == ["all, to 4"]
 
 
-def test_targets_are_ratios_to_a_perfect_encoder() -> None:
-    _, figures = report_rows("encoder", SWEEPS)
-    assert figures["rms_w"].value == pytest.approx(0.025 * 1.05)
-    assert figures["aware_rms_w"].worst == pytest.approx(0.0125 * 1.1)
-    assert figures["ticks_16"].value == pytest.approx(1.1)
-    assert figures["ticks_4"].value == figures["aware_ticks_4"].value == pytest.approx(3.0)
-    assert {target.name for target in REPORTS["encoder"].targets if "compass" not in target.name} == set(figures)
-
-
-def test_the_compass_is_judged_beside_distances_alone_when_stuck_and_on_curves() -> None:
-    faults = {
-        **{(): 0.01, ((W, 0.3),): 0.1, ((LEFT, 0.01),): 0.1, (("encoder.slip_per_m", 0.1),): 0.1},
-        **{(("encoder.stuck_fraction", 0.5),): 0.3, ((NAMES[-1], 0.01),): 0.011, ((NAMES[-1], 0.03),): 0.012},
-    }
-    values = values_of("encoder", make_sweeps(faults, (("deepgps_compass", 0.5), ("deepgps", 1.0))))
-    stuck = {"compass_stuck_rms_m": 0.15 * 1.05, "compass_stuck_folded": 2}
-    ratios = {"compass_w": 0.5, "compass_radius": 0.5, "compass_slip": 0.5, "compass_curves_1": 1.1}
-    assert {name: value for name, value in values.items() if "compass" in name} == pytest.approx(
-        {**stuck, **ratios, "compass_curves_3": 1.2}
-    )
-
-
 def test_what_its_map_expects_and_what_is_good_enough_are_drawn() -> None:
     rows = [{**row, "map_expected_rms_m": row["rms_m"] / 2 if row["method"] == "deepgps" else None} for row in SWEEPS]
     errors, near = (
@@ -424,50 +381,6 @@ def test_the_papers_figures_are_those_of_its_tables() -> None:
     worst = (ours / baseline).max(axis=0)
     assert (lidar["rms_ratio"], lidar["median_ratio"]) == pytest.approx(tuple(worst[:2]), abs=0.005)
     assert (lidar["rms_m"], lidar["median_m"]) == pytest.approx(tuple(ours.mean(axis=0)[:2]), abs=0.0005)
-
-
-def test_the_training_time_is_that_of_deepgps_alone_and_the_papers_errors_stand_beside_ours() -> None:
-    times = (("deepgps", 10.0), ("deepgps", 11.0), ("posenet", 900.0))
-    rows = [make_row(0.01, method, train_s=seconds, **{paper.REACH: None}) for method, seconds in times]
-    text, figures = report_rows("landmarks", rows)
-    assert figures["train_s"].value == 10.5
-    assert find_line(text, "complete", "DeepGPS") == [
-        "2",
-        "10.0",
-        "5.00",
-        "100",
-        "10.0",
-        "10.5",
-        "4.00",
-        "4.00",
-        "21.0",
-    ]
-
-
-def test_the_target_of_lidar_is_that_of_the_worst_map() -> None:
-    rows = [
-        make_row(rms, method, recording=f"map{number}", train_s=10.0, stored=130_000_000 if rms > 0.07 else 400_000)
-        for number, method, rms in (
-            (0, "deepgps", 0.04),
-            (0, "pca_knn", 0.08),
-            (1, "deepgps", 0.06),
-            (1, "pca_knn", 0.05),
-        )
-    ]
-    rows[3]["stored"] = 130_000_000
-    values = values_of("lidar", rows, ["recording"])
-    assert (values["rms_ratio"], values["stored_ratio"]) == pytest.approx((1.2, 325.0))
-
-
-def test_errors_against_labels_and_what_is_accepted_are_beside_the_errors_of_all() -> None:
-    labels = {name: 0.03 for name in ("label_rms_m", "label_median_m", "label_max_m")}
-    more = {"labels_rms_m": 0.005, "unlabelled": 200, "test_unlabelled": 30, "train_s": 40.0}
-    accepted = {"accepted": 0.9, "rms_accepted_m": 0.05, "max_accepted_m": 0.08}
-    text, figures = report_rows("lab", [make_row(0.03, **labels, **more, **accepted) | {"seed": 1}], ["seed"])
-    line = find_line(text, "1", "DeepGPS")
-    assert line[6:12] == ["5.00", "8.00", "90.0", "200", "30", "0.500"]
-    assert line[-3:] == ["5.3 ± 2.1", "3.6 ± 0.4", "17.5 ± 2.6"]
-    assert figures["deepgps_label_rms_m"].value == 0.03
 
 
 # --- diagnoses
