@@ -45,11 +45,11 @@ class YawModule(nn.Module):
         wave = np.exp(-2j * np.pi / sectors * np.outer(np.arange(sectors), np.arange(1, len(passed) + 1))) * passed
         angle = 2.0 * np.pi / headings.FINE * np.outer(np.arange(1, len(passed) + 1), np.arange(headings.FINE))
         self.spectrum = _keep(np.concatenate([table.spectrum[..., 0], table.spectrum[..., 1]], axis=2))
-        self.place, self.heading = _keep(np.float64(table.place)), _keep(np.float64(table.heading))
-        self.parallax, self.position_std = _keep(np.float64(table.parallax)), _keep(np.float64(table.position_std))
-        self.pool, self.loud = _keep(np.float32(pool)), _keep(np.float32(np.sqrt(np.arange(len(pool)) + 0.5)[:, None]))
-        self.wave = _keep(np.float32(np.concatenate([wave.real, wave.imag], axis=1)))
-        self.curve = _keep(np.float32(np.concatenate([np.cos(angle), -np.sin(angle)])))
+        self.place, self.heading = _keep(table.place, np.float64), _keep(table.heading, np.float64)
+        self.parallax, self.position_std = _keep(table.parallax, np.float64), _keep(table.position_std, np.float64)
+        self.pool, self.loud = _keep(pool, np.float32), _keep(np.sqrt(np.arange(len(pool)) + 0.5)[:, None], np.float32)
+        self.wave = _keep(np.concatenate([wave.real, wave.imag], axis=1), np.float32)
+        self.curve = _keep(np.concatenate([np.cos(angle), -np.sin(angle)]), np.float32)
 
     def forward(self, image: torch.Tensor, position: torch.Tensor) -> FoundYaw:
         """Yaw of images (B, rings, sectors, channels) float32 whose camera was at positions (B, 2) float64 [m]."""
@@ -128,9 +128,9 @@ class YawModule(nn.Module):
         return torch.where(both > 0.0, wrap(found), none), torch.where(both > 0.0, std, none), both
 
 
-def _keep(array: np.ndarray) -> nn.Buffer:
+def _keep(array: np.ndarray, kind: type[np.generic] | None = None) -> nn.Buffer:
     """An array as a constant of a module."""
-    return nn.Buffer(torch.from_numpy(np.array(array, order="C")))
+    return nn.Buffer(torch.from_numpy(np.array(array, kind, order="C")))
 
 
 def _pool(rings: int) -> np.ndarray:
@@ -193,9 +193,9 @@ class ConfidenceModule(nn.Module):
             _keep(table.features),
             _keep(confidence.find_normal_radius(np.array(confidence.LEVELS))),
         )
-        self.scale, self.metres = _keep(np.float32(table.scale)), _keep(np.float32(table.metres))
+        self.scale, self.metres = _keep(table.scale, np.float32), _keep(table.metres, np.float32)
         self.place, self.map_std, self.slope = (
-            _keep(np.float64(part)) for part in (table.place, table.map_std, table.slope)
+            _keep(part, np.float64) for part in (table.place, table.map_std, table.slope)
         )
 
     def forward(self, features: torch.Tensor, position: torch.Tensor) -> dict[str, torch.Tensor]:

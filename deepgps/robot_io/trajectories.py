@@ -107,8 +107,8 @@ def find_trajectories(run: Run, method: str | None, frame: Frame | None, progres
     start_s = 1e-9 * run.recording.manifest.start_ns  # all drives of a log count from its start
     found = list[Trajectory]()
 
-    def add(*parts: Any) -> None:
-        found.append(Trajectory(*parts, start_s))
+    def add(drive: str, name: str, time_s: np.ndarray, poses: Poses) -> None:
+        found.append(Trajectory(drive, name, time_s, poses, start_s))
         progress("trajectories", len(found), total)
 
     for drive, recording in drives.items():

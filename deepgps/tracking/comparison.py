@@ -105,7 +105,8 @@ class KnownImages:
         for start in range(0, len(images), CHUNK):
             chunk = slice(start, start + CHUNK)
             found.append(self._compare(_set_upright(images[chunk], upright), positions[chunk], apart_m, own[chunk]))
-        return Comparison(*np.concatenate(found, axis=1), np.asarray(self._tree.query(positions)[0]))
+        correlation, relit, gain = np.concatenate(found, axis=1)
+        return Comparison(correlation, relit, gain, np.asarray(self._tree.query(positions)[0]))
 
     def _compare(self, images: np.ndarray, positions: np.ndarray, apart_m: float, own: np.ndarray) -> np.ndarray:
         phases = take_phases(images)
