@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import lru_cache
 from pathlib import Path
 from typing import Self
 
@@ -13,7 +12,6 @@ from sim.recording import collect as collecting
 from sim.recording.derive import OF_IMAGES
 from sim.recording.format import OF_USE, read_manifest
 from sim.recording.renderers import Draw, Part
-from sim.rooms.build import build_room
 from sim.settings import SimSettings
 
 MAKING = {"collect_s", "derived_from", "samples_dropped", "times_relocated", "renderer_deaths", *OF_IMAGES}
@@ -66,16 +64,11 @@ class DrawnHere:
         pass
 
 
-_build_once = lru_cache(maxsize=4)(build_room)
-
-
 @contextmanager
 def small_chunks(size: int = 32) -> Iterator[None]:
-    """Chunks so small that a short drive has several, drawn in this process; each room is built once."""
+    """Chunks so small that a short drive has several, drawn in this process."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(collecting, "CHUNK", size)
         patch.setattr(chunks, "CHUNK", size)
         patch.setattr(collecting, "Renderers", DrawnHere)
-        for module in ("sim.robot.world", "sim.sensors.lidar"):
-            patch.setattr(f"{module}.build_room", lambda settings: _build_once(settings).copy())
         yield
