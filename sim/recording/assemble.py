@@ -3,6 +3,7 @@
 import logging
 import math
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -186,6 +187,13 @@ def read_part(path: Path) -> dict[str, np.ndarray]:
         log.warning("%s; it is made again", error)
         path.unlink()
         raise
+
+
+def read_if_whole(path: Path) -> dict[str, np.ndarray] | None:
+    """Read a file of an unfinished recording, if it exists and is intact; a damaged file is removed."""
+    with suppress(DamagedError):
+        return read_part(path)
+    return None
 
 
 def _join_detections(settings: SimSettings, parts: Sequence[Path]) -> Detections:

@@ -70,11 +70,13 @@ def drive_chunk(
 def _number(segment: Segment, number: int, observations: int) -> dict[str, np.ndarray]:
     """A segment's new states and its readings, numbered over the complete drive."""
     first = observations - 1 if segment.continues else observations
-    count = len(segment.time)
+    count, kind = len(segment.time), "in_place" if segment.continues else "backed_off"
+    if segment.relocated or segment.after_arc:
+        kind = "relocated"
     return {
         "state": segment.state[1:] if segment.continues else segment.state,
         "turn_state": segment.state[: segment.continues],
-        "turn_kind": np.array([_name_turn(segment)]),
+        "turn_kind": np.array([KINDS.index(kind)]),
         "segment": np.full(count, number),
         "observation": np.arange(first, first + count),
         "wheel_angle": segment.wheel_angle,
@@ -82,21 +84,10 @@ def _number(segment: Segment, number: int, observations: int) -> dict[str, np.nd
     }
 
 
-def _name_turn(segment: Segment) -> int:
-    """Number of the kind of the turn before a segment."""
-    if segment.relocated or segment.after_arc:
-        return KINDS.index("relocated")
-    return KINDS.index("in_place" if segment.continues else "backed_off")
-
-
 IMAGE, RENDERER, TWICE, DIFFERED = "image", "renderer", "drawn_twice", "differed"
 """Names of the arrays in a part's files."""
 Beat = Callable[[], None]
 """Signals that the work continues."""
-
-
-def _rest() -> None:
-    pass
 
 
 def sense_part(part: Part, beat: Beat) -> None:
@@ -129,7 +120,7 @@ def part_files(settings: SimSettings, path: Path) -> dict[str, Path]:
 
 
 def observe(
-    name: str, settings: SimSettings, states: np.ndarray, leans: np.ndarray | None = None, beat: Beat = _rest
+    name: str, settings: SimSettings, states: np.ndarray, leans: np.ndarray | None = None, beat: Beat = lambda: None
 ) -> np.ndarray:
     """Ideal observations (n, ...) of a sensor at states (n, nq), with the fisheye camera leaning by (n, 2) [rad].
 

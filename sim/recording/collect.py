@@ -9,7 +9,6 @@ import logging
 import math
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -24,7 +23,7 @@ from sim.geometry import save_free_space, spread_headings
 from sim.recording.assemble import (
     CollectedDrive,
     count_drawn,
-    read_part,
+    read_if_whole,
     take_held_out,
     write_drive,
     write_observations,
@@ -241,7 +240,7 @@ def _drive(job: _Job, give: Callable[[Part], None], progress: Report) -> Collect
     driven, wanted = 0, settings.drive.samples + settings.grid.held_out
     while driven < wanted:
         path, images, turns = chunk_files(work, len(drive.chunks))
-        before, chunk = chunk, _read_if_whole(path)
+        before, chunk = chunk, read_if_whole(path)
         if chunk is None:
             chunk = drive_chunk(world, settings, rng, before)
             write_arrays(path, chunk)
@@ -272,14 +271,7 @@ def _lay_out_tests(job: _Job) -> list[Part]:
 
 def _is_drawn(part: Part) -> bool:
     """Whether all files of a part are intact; damaged ones are removed."""
-    return all([_read_if_whole(path) for path in part_files(part.settings, part.path).values()])
-
-
-def _read_if_whole(path: Path) -> dict[str, np.ndarray] | None:
-    """Arrays of a file of the work folder, if it exists; a damaged file is removed."""
-    with suppress(DamagedError):
-        return read_part(path)
-    return None
+    return all([read_if_whole(path) for path in part_files(part.settings, part.path).values()])
 
 
 def _assemble(job: _Job, drive: CollectedDrive, tests: list[Path]) -> dict[str, Any]:

@@ -48,12 +48,7 @@ class Body:
 
 def describe_body(camera: CameraSettings) -> Body:
     """Dimensions of the testbed's own robot."""
-    return Body(RADIUS_M, robot_height(camera), WHEEL_RADIUS_M, TRACK_M)
-
-
-def robot_height(camera: CameraSettings) -> float:
-    """Return the full height of the robot, floor to lens [m]."""
-    return max(camera.height_m, BODY_HEIGHT_M)
+    return Body(RADIUS_M, max(camera.height_m, BODY_HEIGHT_M), WHEEL_RADIUS_M, TRACK_M)
 
 
 BURGER = describe_body(CameraSettings())

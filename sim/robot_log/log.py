@@ -20,7 +20,7 @@ import yaml
 from sim.errors import DamagedError, InputError
 from sim.files.atomic import PART, check_overwrite, check_space, list_files, lock, remove_files
 from sim.files.checksums import check_lines, read_json, write_json, write_lines
-from sim.recording.assemble import read_part
+from sim.recording.assemble import read_if_whole
 from sim.recording.format import Report, open_truth
 from sim.recording.renderers import Part, Renderers, count_renderers
 from sim.rng import stream
@@ -228,7 +228,7 @@ def _lay_out(settings: SimSettings, seed: int, states: np.ndarray, work: Path) -
 
 
 def _draw(renderers: Renderers, parts: Sequence[Part], progress: Report) -> None:
-    missing = [part for part in parts if not _is_intact(part.path)]
+    missing = [part for part in parts if not read_if_whole(part.path)]
     for part in missing:
         renderers.give(part)
 
@@ -238,9 +238,3 @@ def _draw(renderers: Renderers, parts: Sequence[Part], progress: Report) -> None
     tell(0)
     renderers.finish(tell)
     tell(len(missing))
-
-
-def _is_intact(path: Path) -> bool:
-    with suppress(DamagedError):
-        return bool(read_part(path))
-    return False

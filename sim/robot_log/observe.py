@@ -208,12 +208,12 @@ def open_camera(settings: SimSettings) -> Sense:
     """The camera, opened once per worker process, since a context belongs to its process."""
     model = RoomWorld(settings.model_copy(update={"deployment": DeploymentSettings()})).model
     camera = Fisheye(model, settings.camera.model_copy(update={"face_px": FACE_PX}), settings.camera_mount)
-    data = mujoco.MjData(model)
+    data, side = mujoco.MjData(model), (COLUMNS - ROWS) // 2
 
     def sense(state: np.ndarray, lean: np.ndarray | None) -> np.ndarray:
         data.qpos[:] = state
         mujoco.mj_kinematics(model, data)
-        return _frame(camera.round(data, ROWS, lean))
+        return np.pad(camera.round(data, ROWS, lean), ((0, 0), (side, side), (0, 0)))
 
     return sense
 
@@ -222,11 +222,6 @@ def read_pictures(path: Path) -> list[np.ndarray]:
     """The JPEG files of a part, each (n,) uint8; raises DamagedError."""
     stored = read_arrays(path)
     return np.split(stored[JPEG], stored[END][:-1])
-
-
-def _frame(round_picture: np.ndarray) -> np.ndarray:
-    side = (COLUMNS - ROWS) // 2
-    return np.pad(round_picture, ((0, 0), (side, side), (0, 0)))
 
 
 def _take(sense: Sense, part: Part, number: int) -> np.ndarray:

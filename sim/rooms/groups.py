@@ -7,7 +7,7 @@ import numpy as np
 from sim.rooms.furniture import decor, seating, storage
 from sim.rooms.furniture import fittings as wall
 from sim.rooms.furniture.primitives import Footprint
-from sim.rooms.layout import Cost, Pose
+from sim.rooms.layout import Pose
 from sim.rooms.placement import (
     Room,
     around,
@@ -47,7 +47,7 @@ def put_stand(room: Room) -> None:
 def sit(room: Room, width_m: float) -> None:
     """Place a sofa facing a television, a coffee table on a rug between them, an armchair and a lamp at the sides."""
     rng = room.rng
-    sofa = stand(room, "sofa", partial(seating.sofa, width_m=width_m), _not_in_a_corner(room))
+    sofa = stand(room, "sofa", partial(seating.sofa, width_m=width_m), away_from(*room.layout.corners))
     if sofa is None:
         return
     stand(room, "television", storage.television, facing(sofa))
@@ -67,29 +67,23 @@ def sit(room: Room, width_m: float) -> None:
 
 def sleep(room: Room, width_m: float) -> None:
     """Place a bed with its head to the wall, a table at each side and a rug at its foot."""
-    bed = stand(room, "bed", partial(seating.bed, width_m=width_m), _not_in_a_corner(room))
+    bed = stand(room, "bed", partial(seating.bed, width_m=width_m), away_from(*room.layout.corners))
     if bed is None:
         return
     for side in (-1, 1):
-        put(
-            room,
-            "bedside_table",
-            seating.bedside_table,
-            [bed.ahead(-0.8, side * (width_m / 2 + 0.29))],
-            False,
-        )
+        put(room, "bedside_table", seating.bedside_table, [bed.ahead(-0.8, side * (width_m / 2 + 0.29))], False)
     spread(room, bed.ahead(0.75), (width_m + 1.0, 1.6))
 
 
 def dine(room: Room, seats: int) -> None:
     """Place a table with chairs around it away from the walls."""
-    rng = room.rng
+    rng, layout, clear = room.rng, room.layout, room.layout.clearance()
     small = (0.85, 0.8)
     for size, count in (((float(rng.uniform(1.35, 1.7)), 0.85), 4), (small, 2)):
         if count > seats:
             continue
         piece = partial(_with_chairs, size=size)
-        table = centre(room, "dining_table", piece, _open_cost(room), turns=(0.0, np.pi / 2))
+        table = centre(room, "dining_table", piece, lambda pose: -float(min(clear[layout.cell(pose)], 1.6)))
         if table is not None:
             chairs = around(table, size, count, rng)
             set_at(room, "chair", seating.chair, chairs, jitter_rad=0.15, at_table=True)
@@ -128,13 +122,3 @@ def adorn(room: Room, plants: int, pictures: int, lamp: bool = True) -> None:
     for _ in range(pictures):
         size = (float(rng.uniform(0.45, 1.2)), float(rng.uniform(0.45, 0.85)))
         hang(room, "picture", partial(wall.picture, z=float(rng.uniform(1.55, 1.8)), size=size))
-
-
-def _not_in_a_corner(room: Room):
-    return away_from(*room.layout.corners)
-
-
-def _open_cost(room: Room) -> Cost:
-    layout = room.layout
-    clear = layout.clearance()
-    return lambda pose: -float(min(clear[layout.cell(pose)], 1.6))

@@ -7,7 +7,7 @@ import numpy as np
 
 from sim.apriltag.detector import PLATE_M, TAGS, draw_tag
 from sim.errors import InputError
-from sim.rooms.furniture.primitives import Footprint, Look, Quaternion, box, paper, turned
+from sim.rooms.furniture.primitives import Footprint, Look, box, multiply, paper, turned
 from sim.rooms.layout import Pose
 from sim.rooms.placement import Room, centre, hang
 
@@ -75,13 +75,7 @@ def _plate(body: mujoco.MjsBody, number: int, material: str, at: tuple[float, fl
     x, y, z = (np.array(at) + out * PLATE_THICK_M / 2).tolist()
     box(body, (x, y, z), (PLATE_M, PLATE_THICK_M, PLATE_M), material, quat=turned(yaw))
     front = np.array(at) + out * PLATE_THICK_M
-    body.add_site(name=f"tag_{number}", pos=front, quat=_multiply(turned(yaw), turned(np.pi / 2, (1.0, 0.0, 0.0))))
-
-
-def _multiply(a: Quaternion, b: Quaternion) -> np.ndarray:
-    product = np.empty(4)
-    mujoco.mju_mulQuat(product, np.array(a), np.array(b))
-    return product
+    body.add_site(name=f"tag_{number}", pos=front, quat=multiply(turned(yaw), turned(np.pi / 2, (1.0, 0.0, 0.0))))
 
 
 def _nearness(at: Pose, others: list[Pose]) -> float:

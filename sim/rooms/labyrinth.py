@@ -4,7 +4,7 @@ import numpy as np
 
 from sim.rooms.furniture import textures
 from sim.rooms.furniture.primitives import box
-from sim.rooms.placement import Finish, Room, hang_lamps, surface
+from sim.rooms.placement import Finish, Room, surface
 
 CELL_M, WALL_M = 1.0, 0.08
 """Nominal side of a cell, and thickness of the walls [m]."""
@@ -47,11 +47,6 @@ def raise_labyrinth(room: Room) -> None:
             _raise(room, low + side * np.add((x, y), end) / 2, size, materials[rng.integers(kinds)])
     for post in sorted(posts):
         _raise(room, low + side * post, (WALL_M, WALL_M), room.look.white)
-
-
-def light_cells(room: Room) -> None:
-    """Put the same lamp into the ceiling of every cell."""
-    hang_lamps(room, CELL_M)
 
 
 def draw_passages(columns: int, rows: int, rng: np.random.Generator, loops: float) -> set[frozenset[Cell]]:

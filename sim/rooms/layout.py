@@ -153,7 +153,7 @@ class Layout:
             for i in order
         ]
         for pose in poses if cost is None else sorted(poses, key=cost):
-            if not self._whole(piece, pose) or self._footprint(piece, pose, self.overhead).any():
+            if not self.is_inside(piece, pose) or self._footprint(piece, pose, self.overhead).any():
                 continue
             if (self._footprint(piece, pose, self.tall) > drop_m).any():
                 continue
@@ -196,13 +196,9 @@ class Layout:
         """Whether something is already on the ceiling, or a wall, in a footprint."""
         return bool(self._footprint(piece, pose, self.overhead).any())
 
-    def is_inside(self, piece: Footprint, pose: Pose) -> bool:
-        """Whether a footprint is in the room, whatever else is there."""
-        return self._whole(piece, pose)
-
     def is_clear(self, piece: Footprint, pose: Pose) -> bool:
         """Whether a footprint is in the room on unoccupied floor, which may be floor that must stay open."""
-        return self._whole(piece, pose) and not self._footprint(piece, pose, self.taken).any()
+        return self.is_inside(piece, pose) and not self._footprint(piece, pose, self.taken).any()
 
     def _first_good(
         self, piece: Footprint, poses: Sequence[Pose], rng: np.random.Generator, cost: Cost | None
@@ -214,7 +210,7 @@ class Layout:
         return self.at(piece, [poses[i] for i in np.argsort(costs, kind="stable")])
 
     def _good(self, piece: Footprint, pose: Pose, walkable: bool) -> bool:
-        if not self._whole(piece, pose):
+        if not self.is_inside(piece, pose):
             return False
         if self._footprint(piece, pose, self.taken | self.kept).any():
             return False
@@ -226,7 +222,8 @@ class Layout:
                 return False
         return not walkable or self._leaves_paths(piece, pose)
 
-    def _whole(self, piece: Footprint, pose: Pose) -> bool:
+    def is_inside(self, piece: Footprint, pose: Pose) -> bool:
+        """Whether a footprint is in the room, whatever else is there."""
         left, right, bottom, top = _rectangle(piece, pose)
         high = self.low + np.array(self.inside.shape[::-1]) * CELL_M
         tolerance = 1e-6

@@ -108,7 +108,7 @@ def hang(
             body.pos = (x, 0.0, 0.0)
             _remember(room, name, piece)
             return wall, x
-        _remove(room, body)
+        room.spec.delete(body)
     return None
 
 
@@ -117,7 +117,7 @@ def fix(room: Room, name: str, piece: Overhead, drop_m: float, cost: Cost | None
     body = room.spec.worldbody.add_body(name=room.name(name))
     at = room.layout.overhang(piece(body, room.rng, room.look), room.rng, drop_m, cost)
     if at is None:
-        _remove(room, body)
+        room.spec.delete(body)
         return False
     body.pos = (at[0], at[1], room.height_m)
     return True
@@ -211,7 +211,7 @@ def set_at(
         it = _make(room, name, piece, body)
         good = room.layout.is_inside if at_table else room.layout.is_clear
         if not good(it, pose):
-            _remove(room, body)
+            room.spec.delete(body)
             continue
         room.layout.take(it, pose)
         turn = pose.yaw + room.rng.uniform(-jitter_rad, jitter_rad)
@@ -246,7 +246,7 @@ def _settle(room: Room, name: str, piece: Piece, find: Callable[[Footprint], Pos
     it = _make(room, name, piece, body)
     pose = find(it)
     if pose is None:
-        _remove(room, body)
+        room.spec.delete(body)
         return None
     _remember(room, name, piece)
     room.layout.take(it, pose)
@@ -284,10 +284,6 @@ def _longest_run(layout: Layout, place: float, axis: int) -> tuple[float, float]
     first, last = runs[np.argmax(runs[:, 1] - runs[:, 0])]
     start = layout.low[1 - axis]
     return float(start + first * CELL_M), float(start + last * CELL_M)
-
-
-def _remove(room: Room, body: mujoco.MjsBody) -> None:
-    room.spec.delete(body)
 
 
 PX_PER_M = 60

@@ -10,7 +10,7 @@ from sim.rooms.furniture import ceiling, decor, seating, storage, textures
 from sim.rooms.furniture import fittings as wall
 from sim.rooms.groups import adorn, dine, enter, put_stand, sit, sleep, work
 from sim.rooms.lab import hang_tags, place_posts
-from sim.rooms.labyrinth import draw_size, light_cells, raise_labyrinth
+from sim.rooms.labyrinth import CELL_M, draw_size, raise_labyrinth
 from sim.rooms.office_floor import furnish_office_floor
 from sim.rooms.placement import (
     Finish,
@@ -246,7 +246,13 @@ PLANS: dict[RoomKind, RoomPlan] = {
     "lab": RoomPlan((6.0, 5.0, 2.8), ("plaster", "brick", "plaster", "boards"), furnish_lab, carpet, tubes_and_ducts),
     "corridor": RoomPlan((15.0, 8.0, 2.7), ("plaster",), furnish_office_floor, carpet, hang_lamps, panelled=True),
     "labyrinth": RoomPlan(
-        (9.0, 7.0, 2.0), ("plaster",), raise_labyrinth, concrete, light_cells, panelled=True, draw_size=draw_size
+        (9.0, 7.0, 2.0),
+        ("plaster",),
+        raise_labyrinth,
+        concrete,
+        partial(hang_lamps, every_m=CELL_M),
+        panelled=True,
+        draw_size=draw_size,
     ),
 }
 """Every kind of room, in the order of ``RoomKind``; new ones go last, as the position is part of the random seed."""

@@ -1,4 +1,4 @@
-"""Tools around the simulator: a gallery of rooms, a rendering benchmark, and a check of this machine.
+"""Tools around the simulator: a gallery of rooms, and a check of this machine.
 
 Nothing else imports these modules.
 """

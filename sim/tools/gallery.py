@@ -101,12 +101,7 @@ def draw_room(settings: RoomSettings) -> np.ndarray:
     model = spec.compile()
     if model.nlight:
         model.light_castshadow[0] = True
-    pictures = [
-        _draw_perspective(model),
-        _draw_top(model, world.free_space),
-        _draw_fisheye(world),
-        _draw_polar(world),
-    ]
+    pictures = _draw_perspective(model), _draw_top(model, world.free_space), _draw_fisheye(world), _draw_polar(world)
     title = settings.mjcf or f"{settings.kind}, {settings.shape}, seed {settings.seed}"
     area = world.free_space.reachable.sum() * world.free_space.cell_m**2
     drawn = int((model.geom_group <= 2).sum())
@@ -124,7 +119,7 @@ def _draw_perspective(model: mujoco.MjModel) -> np.ndarray:
     ahead = np.array((np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)))
     eye = view.lookat - view.distance * ahead
     hidden = _ceiling(model)
-    for body in _bodies(model, "wall_"):
+    for body in (number for number in range(model.nbody) if model.body(number).name.startswith("wall_")):
         rotation = np.empty(9)
         mujoco.mju_quat2Mat(rotation, model.body_quat[body])
         if (eye - model.body_pos[body]) @ -rotation.reshape(3, 3)[:, 1] < 0:
@@ -183,10 +178,6 @@ def _render(model: mujoco.MjModel, view: mujoco.MjvCamera, hidden: np.ndarray, s
 
 def _ceiling(model: mujoco.MjModel) -> np.ndarray:
     return model.body_pos[model.geom_bodyid, 2] > CEILING_FROM_M
-
-
-def _bodies(model: mujoco.MjModel, prefix: str) -> list[int]:
-    return [body for body in range(model.nbody) if model.body(body).name.startswith(prefix)]
 
 
 def _extent(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:

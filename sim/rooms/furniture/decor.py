@@ -1,10 +1,22 @@
 """Decoration and clutter: rug, floor lamp, plant, coat stand, barrel, ladder, boxes."""
 
-import mujoco
 import numpy as np
 
 from sim.rooms.furniture import textures
-from sim.rooms.furniture.primitives import Body, Footprint, Look, Rng, ball, block, box, paint, paper, pole, turned
+from sim.rooms.furniture.primitives import (
+    Body,
+    Footprint,
+    Look,
+    Rng,
+    ball,
+    block,
+    box,
+    multiply,
+    paint,
+    paper,
+    pole,
+    turned,
+)
 
 
 def rug(body: Body, rng: Rng, look: Look, size: tuple[float, float]) -> Footprint:
@@ -38,11 +50,10 @@ def plant(body: Body, rng: Rng, look: Look) -> Footprint:
         return Footprint(0.64, 0.64, 0.36 + height)
     for leaf in np.arange(6) * 2 * np.pi / 6 + rng.uniform(0, 1):
         # Each leaf is tilted about its own y axis and then turned about z.
-        tilt, quat = turned(-rng.uniform(0.2, 1.1), (0.0, 1.0, 0.0)), np.empty(4)
-        mujoco.mju_mulQuat(quat, np.array(turned(float(leaf))), np.array(tilt))
+        w, x, y, z = multiply(turned(float(leaf)), turned(-rng.uniform(0.2, 1.1), (0.0, 1.0, 0.0)))
         lift = 0.36 + height * rng.uniform(0.5, 0.75)
         at = (0.12 * np.cos(leaf), 0.12 * np.sin(leaf), lift)
-        box(body, at, (0.34, 0.1, 0.012), look.leaves, quat=(quat[0], quat[1], quat[2], quat[3]))
+        box(body, at, (0.34, 0.1, 0.012), look.leaves, quat=(w, x, y, z))
     return Footprint(0.64, 0.64, 0.36 + height)
 
 

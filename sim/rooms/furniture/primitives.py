@@ -137,6 +137,13 @@ def turned(angle_rad: float, axis: tuple[float, float, float] = (0.0, 0.0, 1.0))
     return float(np.cos(angle_rad / 2)), s * axis[0], s * axis[1], s * axis[2]
 
 
+def multiply(a: Quaternion, b: Quaternion) -> np.ndarray:
+    """Return the quaternion (4,) of the rotation ``b`` and then ``a``."""
+    product = np.empty(4)
+    mujoco.mju_mulQuat(product, np.array(a), np.array(b))
+    return product
+
+
 def _draw(body, shape, middle, size, material, quat=(1.0, 0.0, 0.0, 0.0)) -> None:
     size, unseen = (*size, 0.0, 0.0)[:3], {"contype": 0, "conaffinity": 0}
     body.add_geom(type=shape, pos=middle, size=size, quat=quat, material=material, group=VISUAL_GROUP, **unseen)

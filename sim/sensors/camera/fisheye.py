@@ -131,7 +131,8 @@ class Fisheye(Offscreen):
         rays = polar_rays(self._lens, camera.rings * finer, camera.sectors * finer, self._centre)
         self._polar = self._make_warp(rays, finer)
         self._round: dict[int, _Warp] = {}
-        super().__init__(model, *_strip_size(self._faces))
+        last, height = self._faces[-1], max(face.height for face in self._faces)
+        super().__init__(model, last.column + last.width, height)
 
     def polar(self, data: mujoco.MjData, lean: np.ndarray | None = None, dress: Dress | None = None) -> np.ndarray:
         """The polar image of the state ``data``: (rings, sectors, 3) uint8 RGB.
@@ -199,10 +200,6 @@ class Fisheye(Offscreen):
         reach = np.abs(planes @ edges).reshape(len(planes), -1, 3).sum(axis=-1)
         inside = (planes @ place.T + reach > 0).reshape(len(self._faces), 4, -1).all(axis=1)
         return inside & ~self._robot[geoms]
-
-
-def _strip_size(faces: list[Face]) -> tuple[int, int]:
-    return faces[-1].column + faces[-1].width, max(face.height for face in faces)
 
 
 def _local_boxes(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:

@@ -12,7 +12,7 @@ from sim.files import ROBOT
 from sim.geometry import planar_pose
 from sim.robot.calibrate import calibrate, run
 from sim.robot.chassis import compile_scene
-from sim.robot.model import RADIUS_M, TRACK_M, WHEEL_RADIUS_M, load_robot, robot_height, wheel_speeds
+from sim.robot.model import RADIUS_M, TRACK_M, WHEEL_RADIUS_M, describe_body, load_robot, wheel_speeds
 from sim.robot.world import RoomWorld
 from sim.rooms.spec import empty_room
 from sim.settings import CameraSettings, RobotSettings, SimSettings
@@ -136,7 +136,7 @@ def test_lens_does_not_see_its_own_robot(height_m):
     mujoco.mj_forward(model, data)
     lens = data.site("robot/camera").xpos
     assert lens[2] == pytest.approx(height_m, abs=1e-3)
-    assert robot_height(settings.camera) == height_m
+    assert describe_body(settings.camera).height_m == height_m
     azimuth, angle = np.meshgrid(np.linspace(0, 2 * np.pi, 181), np.radians(np.linspace(0.0, 95.0, 96)))
     rays = np.stack([np.sin(angle) * np.cos(azimuth), np.sin(angle) * np.sin(azimuth), np.cos(angle)], axis=-1)
     geom, distance = np.empty(angle.size, np.int32), np.empty(angle.size)

@@ -26,7 +26,7 @@ def observed() -> Observed:
 
 
 def test_tracing_changes_no_bit_of_the_drive():
-    settings = SimSettings(drive=DriveSettings(samples=300))
+    settings = SimSettings(drive=DriveSettings(samples=120))
     world, traced, rng = RoomWorld(settings, furnished()), TracedWorld(settings, furnished()), stream(0, "drive")
     stretches, chunk = list(trace_drive(traced, 0)), None
     for stretch in stretches:
