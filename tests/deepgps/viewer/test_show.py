@@ -1,15 +1,11 @@
 """The viewer by Rerun's program: for this machine alone, ended with its command; a picture shows the error field."""
 
 import os
-import re
 import shutil
 import signal
 import socket
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from subprocess import Popen
 from urllib.error import URLError
 from urllib.request import urlopen
 
@@ -23,7 +19,7 @@ from deepgps.reports.plots import COLOURS, colours_of
 from deepgps.viewer import connect
 from deepgps.viewer.connect import HOST, open_viewer, start_viewer, wait_for_port
 from deepgps.viewer.run import RECORDING, write_run
-from deepgps.viewer.show import choose_ports, shows_scale
+from deepgps.viewer.show import choose_ports, serve, shows_scale
 from sim.errors import InputError, WorkError
 from tests.helpers.command import deepgps_here, read_line, started
 from tests.helpers.synthetic_run import write_synthetic_run
@@ -34,23 +30,6 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_synthetic_run(tmp_path_factory.mktemp("run"), samples=60, spacing_m=0.4)
 
 
-@contextmanager
-def served(run: Path, *words: str) -> Iterator[tuple[str, Popen[str]]]:
-    """Address and process of ``deepgps view --web``."""
-    command = (sys.executable, "-m", "deepgps.commands.main", "view", str(run), "--web", *words)
-    with started(*command) as process:
-        try:
-            line = read_line(process, "the address of the page")
-            address = re.match(
-                r"open (http://127\.0\.0\.1:\d+/\?url=rerun%2Bhttp%3A%2F%2F127\.0\.0\.1%3A\d+%2Fproxy)", line
-            )
-            assert address, line
-            yield address[1], process
-        finally:
-            process.send_signal(signal.SIGTERM)
-            process.wait(30)
-
-
 def listening(process: int) -> set[tuple[str, int]]:
     """Addresses at which a process and those that it started listen."""
     family = [psutil.Process(process), *psutil.Process(process).children(recursive=True)]
@@ -58,20 +37,36 @@ def listening(process: int) -> set[tuple[str, int]]:
     return {(address.ip, address.port) for address in found}
 
 
-def test_a_page_and_its_data_are_for_this_machine_alone_until_it_is_interrupted(run: Path) -> None:
+def test_a_page_and_its_data_are_for_this_machine_alone_and_end_with_what_serves_them(run: Path) -> None:
     page = next(port for port in range(20000, 60000, 10) if is_free(port) and is_free(port + 1))
-    with served(run, "--port", str(page)) as (address, process):
-        assert address.startswith(f"http://{HOST}:{page}/") and f"%3A{page + 1}%2F" in address
-        assert listening(process.pid) == {(HOST, page), (HOST, page + 1)}
+    before, addresses, family = listening(os.getpid()), [], []
+
+    def look(said: str) -> None:
+        address = said.splitlines()[0].removeprefix("open ")
+        assert address == f"http://{HOST}:{page}/?url=rerun%2Bhttp%3A%2F%2F127.0.0.1%3A{page + 1}%2Fproxy"
+        assert listening(os.getpid()) - before == {(HOST, page), (HOST, page + 1)}
         with urlopen(address, timeout=30) as answer:
             assert answer.status == 200 and b"re_viewer" in answer.read()
+        addresses.append(address)
+        family.extend(psutil.Process().children(recursive=True))
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        serve([run], choose_ports(page), look)
+    assert family and not any(map(psutil.Process.is_running, family))
+    with pytest.raises(URLError):
+        urlopen(addresses[0], timeout=5)
+
+
+@pytest.mark.slow
+def test_ctrl_c_ends_the_command_and_the_viewer(run: Path) -> None:
+    with started(sys.executable, "-m", "deepgps.commands.main", "view", str(run), "--web") as process:
+        assert read_line(process, "the address of the page").startswith(f"open http://{HOST}:")
         family = psutil.Process(process.pid).children(recursive=True)
         process.send_signal(signal.SIGINT)
         assert process.wait(30) == 128 + signal.SIGINT
         assert process.stderr and process.stderr.read() == "interrupted\n"
         assert family and not any(map(psutil.Process.is_running, family))
-    with pytest.raises(URLError):
-        urlopen(address, timeout=5)
 
 
 def is_free(port: int) -> bool:
