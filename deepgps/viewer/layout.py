@@ -9,7 +9,7 @@ import rerun.blueprint as rrb
 
 from deepgps.config.methods import title_of
 from deepgps.viewer.drive import DIAGNOSIS, POLAR_PICTURES
-from deepgps.viewer.error_field import COVERAGE, DENSITY, name_layer
+from deepgps.viewer.error_field import COVERAGE, DENSITY
 from deepgps.viewer.making import MAKING, TEXT
 from deepgps.viewer.pictures import LARGE
 from deepgps.viewer.places import PICTURES
@@ -24,6 +24,9 @@ PICTURE_TITLES = {
     "round": ("Test image, white", "Alike 1, yellow", "Alike 2, yellow", "Closest, green"),
     "polar": ("Test image, polar", "Alike 1, polar", "Alike 2, polar", "Closest, polar"),
 }
+TICKS = ("Ticks per gap: left blue, right green", "drive/ticks", RECENT_S)
+SEGMENT_ERROR = ("Encoder minus truth [mm]", "drive/segment_error", RECENT_S)
+WHEELS = ("Diagnosis of the wheels", DIAGNOSIS)
 STEPS, FIGURES = "steps", "report/figures"
 Layers = Mapping[str, Sequence[str]]
 """Layers of a method's error field that are hidden at first, by method."""
@@ -48,7 +51,7 @@ def make_blueprint(
         drive_s: Duration of the drive [s].
         mapped: Method whose initial map's making is shown; None: no method kept it.
     """
-    errors = rrb.Horizontal(_segment_error(drive_s), _ticks_view(drive_s))
+    errors = rrb.Horizontal(series_view(*SEGMENT_ERROR, drive_s), series_view(*TICKS, drive_s))
     return arrange(
         [
             _error_fields(space, layers, ["place/test/**"]),
@@ -101,8 +104,8 @@ def make_blueprint_without_truth(
     beside = rrb.Vertical(
         *_camera_views(pictures),
         series_view("Distance travelled [m]", "drive/distance"),
-        _ticks_view(drive_s),
-        rrb.Tabs(text_view("Without truth", "report"), _diagnosis_view()),
+        series_view(*TICKS, drive_s),
+        rrb.Tabs(text_view("Without truth", "report"), text_view(*WHEELS)),
     )
     tabs: list[Part] = [rrb.Horizontal(path, beside, name="Drive", column_shares=[3, 2])]
     if last:
@@ -215,18 +218,6 @@ def _camera_views(pictures: Mapping[str, str]) -> list[Part]:
     return [*large, *([rrb.Horizontal(*views.values(), column_shares=shares)] if views else [])]
 
 
-def _diagnosis_view() -> rrb.TextDocumentView:
-    return text_view("Diagnosis of the wheels", DIAGNOSIS)
-
-
-def _ticks_view(drive_s: float) -> rrb.TimeSeriesView:
-    return series_view("Ticks per gap: left blue, right green", "drive/ticks", RECENT_S, drive_s)
-
-
-def _segment_error(drive_s: float) -> rrb.TimeSeriesView:
-    return series_view("Encoder minus truth [mm]", "drive/segment_error", RECENT_S, drive_s)
-
-
 def _loss_view(name: str, start: Any = None) -> rrb.TimeSeriesView:
     return series_view("Loss, log10: each step pale, running median bright", f"training/{name}", start=start)
 
@@ -300,17 +291,10 @@ def _drive(
 
 def _making(space: FreeSpace, method: str) -> Part:
     """How the initial map is made, and the errors that it expects beside those of the trained method."""
-    making = room_view(
-        "The initial map in the making: choose the timeline `making`",
-        ["outline", f"{MAKING.removeprefix('world/')}/**"],
-        aim_eye(space, before=0.0),
-    )
+    title = "The initial map in the making: choose the timeline `making`"
+    making = room_view(title, ["outline", f"{MAKING.removeprefix('world/')}/**"], aim_eye(space, before=0.0))
     fields = [
-        room_view(
-            name,
-            ["floor_plan", "scale/**", name_layer(method, shown).removeprefix("world/")],
-            aim_eye(space, reach=0.9),
-        )
+        room_view(name, ["floor_plan", "scale/**", f"error_field/{method}/{shown}"], aim_eye(space, reach=0.9))
         for name, shown in (
             ("Error that the initial map expects of itself", "expected"),
             (f"Error field of {title_of(method)}", "worst/**"),
@@ -332,7 +316,7 @@ def _encoders(space: FreeSpace, drive_s: float) -> Part:
     faults = text_view("Faults that were set", "encoders/faults")
     difference = series_view("Ticks per gap, right minus left", "drive/tick_difference", RECENT_S, drive_s)
     series = rrb.Vertical(
-        rrb.Horizontal(_segment_error(drive_s), _ticks_view(drive_s), difference),
+        rrb.Horizontal(series_view(*SEGMENT_ERROR, drive_s), series_view(*TICKS, drive_s), difference),
         rrb.Horizontal(
             series_view("Its sum over all segments [mm]", "drive/difference"),
             series_view("Dead-reckoning drift [m]", "encoders/drift"),
@@ -340,26 +324,21 @@ def _encoders(space: FreeSpace, drive_s: float) -> Part:
         rrb.Spatial2DView(name="Each segment", origin="encoders/segments"),
         row_shares=[4, 4, 6],
     )
-    words = rrb.Vertical(paths, rrb.Tabs(_diagnosis_view(), faults, active_tab=0), row_shares=[5, 6])
+    words = rrb.Vertical(paths, rrb.Tabs(text_view(*WHEELS), faults, active_tab=0), row_shares=[5, 6])
     return rrb.Horizontal(words, series, column_shares=[5, 8], name="Encoders")
 
 
 def _training(space: FreeSpace, trained: Sequence[str], losses: Sequence[rrb.View]) -> Part:
     above, front = aim_eye(space, reach=0.85, before=0.0), aim_eye(space)
-    maps = [
-        room_view(f"{title_of(name)}: map of the training images", ["outline", f"training/{name}"], above)
-        for name in trained
-    ]
-    errors = [
-        room_view(
-            f"{title_of(name)}: errors on the training images",
-            ["outline", "scale/**", f"training_error/{name}/**"],
-            front,
+    rows = [
+        [room_view(f"{title_of(name)}: {title}", [*around, f"{shown}/{name}{below}"], eye) for name in trained]
+        for title, around, shown, below, eye in (
+            ("map of the training images", ["outline"], "training", "", above),
+            ("errors on the training images", ["outline", "scale/**"], "training_error", "/**", front),
         )
-        for name in trained
     ]
-    rows = [rrb.Horizontal(*row) for row in (maps, errors, losses)]
-    return rrb.Vertical(*rows, row_shares=[5, 6, 4], name="Training")
+    parts = [rrb.Horizontal(*row) for row in (*rows, losses)]
+    return rrb.Vertical(*parts, row_shares=[5, 6, 4], name="Training")
 
 
 def _report() -> Part:

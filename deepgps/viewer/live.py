@@ -1,23 +1,41 @@
-"""Showing a run in progress: a thread sends to a viewer what the stages report and write.
+"""Showing a run in progress: a thread sends to a viewer what the stages report and write, each part as far as it goes.
 
 The stages know nothing of this thread: it receives the reports for the progress bars and the history of a training now
-and then, and reads the files in the run folder. Whatever happens to the viewer, the run continues.
+and then, and reads the files in the run folder. Whatever happens to the viewer, the run continues. The functions that
+log a finished run log each part. All rows are on one timeline, ``run_time`` [s], which starts with the view; new rows
+are spread over the time since the last update, so that they play back smoothly.
 """
 
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from datetime import timedelta
 from pathlib import Path
 
+import numpy as np
 import rerun as rr
 
+from deepgps.config.methods import title_of
 from deepgps.config.scenario import Scenario
+from deepgps.evaluation.error_field import read_all_headings
+from deepgps.reports.run_report import read_metrics
+from deepgps.reports.table import tabulate
+from deepgps.runs.run_folder import METRICS
 from deepgps.terminal.progress import Look, Report
+from deepgps.viewer import drive
 from deepgps.viewer.connect import ANSWER_S, find_url, knock, open_viewer
-from deepgps.viewer.live_view import LiveView
-from sim.errors import InputError, one_line
+from deepgps.viewer.error_field import list_layers
+from deepgps.viewer.layout import STEPS, Layers, make_live_blueprint
+from deepgps.viewer.pictures import make_warp
+from deepgps.viewer.run import LAYERS, READING, log_results
+from deepgps.viewer.scene import log_room
+from deepgps.viewer.stream import put_text, run_clock
+from deepgps.viewer.training import History, log_loss, log_snapshots
+from sim.errors import DamagedError, InputError, one_line
+from sim.files.checksums import read_arrays
+from sim.recording.format import Truth, chunk_files, has_truth, open_recording, open_truth, work_folder
+from sim.settings import CameraSettings
 
 APPLICATION = "deepgps live"  # not that of recordings, whose blueprint it would replace
 GONE = (RuntimeError, ConnectionError)
@@ -29,6 +47,12 @@ PATIENCE_S = 20.0
 """How long a finished run waits for a slow viewer to accept the remaining data [s]."""
 LOOK_S = 0.4
 """Interval at which a finished run checks whether the viewer still answers [s]."""
+Spread = Callable[[int], np.ndarray]
+"""Makes times (n,) [s] for so many rows, spread over the time since the last update."""
+TRACK_M = 0.16
+"""Distance between the wheels of the robot that is drawn until its own is known."""
+PICTURE_EVERY = 32  # observations
+PICTURES_AT_ONCE = 100
 
 
 @contextmanager
@@ -104,7 +128,7 @@ def _wait(thread: threading.Thread, lost: threading.Event, url: str, warn: Calla
 
 def _send(
     stream: rr.RecordingStream,
-    view: LiveView,
+    view: "LiveView",
     ended: threading.Event,
     lost: threading.Event,
     warn: Callable[[str], None],
@@ -132,3 +156,186 @@ def _check(stream: rr.RecordingStream, address: str) -> None:
             time.sleep(0.1)  # a refusal of the data takes a moment to arrive
     except RuntimeError:
         raise InputError(f"--live {address}: what answers there is not a Rerun viewer") from None
+
+
+class LiveDrive:
+    """Sends a drive to the viewer, from the chunks that make up a recording, and keeps track of what has been sent.
+
+    Args:
+        stream: Stream to send to.
+        folder: Folder of the recording.
+        camera: The scenario's camera.
+    """
+
+    def __init__(self, stream: rr.RecordingStream, folder: Path, camera: CameraSettings) -> None:
+        self.stream, self.work, self.camera = stream, work_folder(folder), camera
+        self.chunks = self.pictures = self.observations = self.segments = 0
+        self.last = np.empty((0, 2))  # end of the last segment, where the next one begins
+        drive.log_robot(stream, TRACK_M, camera.height_m)
+
+    def send_chunks(self, spread: Spread) -> None:
+        """Send the chunks that have been driven and rendered since the last update."""
+        # Chunks disappear when the recording is finished; a damaged one will be made again.
+        with suppress(FileNotFoundError, DamagedError):
+            while (path := chunk_files(self.work, self.chunks)[0]).is_file():
+                chunk = read_arrays(path)
+                state = chunk["state"]
+                yaw = 2 * np.arctan2(state[:, 6], state[:, 3])  # assumes an upright robot
+                pose = np.column_stack([state[:, :2], yaw])
+                self._send_segments(pose, chunk["segment"], chunk["observation"], spread)
+                self.chunks += 1
+            while (path := chunk_files(self.work, self.pictures)[1]).is_file():
+                self._send_pictures(read_arrays(path)["image"][::PICTURE_EVERY], spread)
+                self.pictures += 1
+
+    def send_rest(self, observations: np.ndarray, truth: Truth, spread: Spread) -> None:
+        """Send the part of a finished recording that was not sent from its chunks."""
+        segment, observation = truth.reading[truth.reading[:, 0] >= self.segments].T
+        self._send_segments(truth.pose[self.observations :], segment, observation, spread)
+        if not self.pictures:
+            self._send_pictures(observations[:: max(1, len(truth.pose) // PICTURES_AT_ONCE)], spread)
+
+    def _send_segments(self, pose: np.ndarray, segment: np.ndarray, observation: np.ndarray, spread: Spread) -> None:
+        """Send poses (n, 3) of new observations, and the segments of readings (r,) that start there or just before."""
+        if not len(pose):
+            return
+        place = np.concatenate([self.last, pose[:, :2]])[observation - (self.observations - len(self.last))]
+        drive.log_poses(self.stream, pose, run_clock(spread(len(pose))))
+        colours = (drive.TRUE, drive.LEG)
+        drive.log_path(self.stream, "world/drive", segment, place, colours, spread(len(segment)), run_clock)
+        self.observations += len(pose)
+        self.segments = int(segment[-1]) + 1
+        self.last = pose[-1:, :2]
+
+    def _send_pictures(self, images: np.ndarray, spread: Spread) -> None:
+        if images.ndim == 4:  # no scans
+            warp = make_warp(self.camera, images.shape[1], images.shape[2], drive.ROUND_PX)
+            drive.log_polar(self.stream, images, warp, run_clock(spread(len(images))))
+
+
+class LiveTraining:
+    """Sends trainings to the viewer and keeps track of how much of each has been sent.
+
+    Args:
+        stream: Stream to send to.
+        folder: The run folder.
+        truth: True position of each observation (N, 2) [m], to which maps are aligned.
+    """
+
+    def __init__(self, stream: rr.RecordingStream, folder: Path, truth: np.ndarray) -> None:
+        self.stream, self.folder, self.truth = stream, folder, truth
+        self.sent: dict[str, tuple[int, int]] = {}  # numbers of losses and of snapshots
+        self.trained: list[str] = []
+        self.finished: set[str] = set()
+
+    def send(self, histories: Mapping[str, History], methods: tuple[str, ...], spread: Spread) -> None:
+        """Send what is new in the histories that trainings report, and in the history files of finished methods."""
+        for label, history in histories.items():
+            self._send_history(label, history, spread)
+        for method in methods:
+            path = self.folder / method / "history.npz"
+            if method not in self.finished and path.is_file():
+                with np.load(path, allow_pickle=False) as history:
+                    self._send_history(method, history, spread)
+                self.finished.add(method)
+
+    def _send_history(self, label: str, history: History, spread: Spread) -> None:
+        method = label.partition(",")[0]  # a restart has its own label and continues the method's curve
+        if method not in self.trained:
+            self.trained.append(method)
+        losses, snapshots = self.sent.get(label, (0, 0))
+        if new := len(history["loss"]) - losses:
+            log_loss(self.stream, method, history, run_clock(spread(new)), losses)
+        place, maps = self.truth[history["snapshot_index"]], history["snapshot"][snapshots:]
+        if len(maps):
+            log_snapshots(self.stream, method, place, maps, run_clock(spread(len(maps))))
+        self.sent[label] = (losses + new, snapshots + len(maps))
+
+
+class LiveView:
+    """Collects what a run reports and sends it to the viewer.
+
+    Args:
+        stream: Stream to send to.
+        scenario: The run's scenario.
+        folder: The run folder.
+
+    Attributes:
+        steps: Steps done and their number, by reported label.
+        histories: Each training's history so far, by reported label.
+    """
+
+    def __init__(self, stream: rr.RecordingStream, scenario: Scenario, folder: Path) -> None:
+        self.steps: dict[str, tuple[int, int]] = {}
+        self.histories: dict[str, History] = {}
+        self._stream, self._scenario, self._folder = stream, scenario, folder
+        self._drive = LiveDrive(stream, folder / "recording", scenario.camera)
+        self._truth: Truth | None = None
+        self._training: LiveTraining | None = None
+        self._layers: Layers = {}
+        self._sent: int | None = None  # when the figures that were sent had been written [ns]
+        self._start, self._before = time.monotonic(), 0.0  # start of the view; time of the last update since then [s]
+        self._began_s: float | None = None  # start of the training since then [s]
+        self._text, self._shown = "", object()
+        stream.send_recording_name(f"{scenario.name}, seed {scenario.seed}, live")
+        stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        self._arrange()
+
+    def update(self) -> None:
+        """Send what is new."""
+        now = time.monotonic() - self._start
+        before, self._before = self._before, now
+        if self._began_s is None and self.histories:
+            self._began_s = before
+
+        def spread(rows: int) -> np.ndarray:
+            return np.linspace(before, now, rows + 1)[1:]
+
+        if self._truth is None:
+            self._drive.send_chunks(spread)
+            self._send_room(spread)
+        if self._training is not None:
+            self._training.send(dict(self.histories), self._scenario.methods, spread)
+        self._send_results()
+        self._send_steps()
+        self._arrange()
+
+    def _send_room(self, spread: Spread) -> None:
+        """Send the room and the rest of a finished recording; without truth, only steps are shown."""
+        folder = self._folder / "recording"
+        if not (folder / "manifest.json").is_file() or not has_truth(folder):
+            return
+        recording, self._truth = open_recording(folder), open_truth(folder)
+        log_room(self._stream, folder / "scene.glb", self._truth.free_space)
+        drive.log_robot(self._stream, drive.find_track_m(recording), drive.camera_of(recording).height_m)
+        self._drive.send_rest(recording.observation, self._truth, spread)
+        self._training = LiveTraining(self._stream, self._folder, self._truth.pose[:, :2])
+
+    def _send_results(self) -> None:
+        """Send the error fields and the figures once they are written, and again when they change."""
+        path = self._folder / METRICS
+        written = path.stat().st_mtime_ns if path.is_file() else None
+        if self._truth is None or written is None or written == self._sent:
+            return
+        fields, metrics = read_all_headings(self._folder), read_metrics(self._folder)
+        space, driven = self._truth.free_space, self._truth.pose[:, :2]
+        log_results(self._stream, metrics, fields, space, driven, [READING, LAYERS])
+        self._layers, self._sent = {name: list_layers(name, field) for name, field in fields.items()}, written
+
+    def _send_steps(self) -> None:
+        rows = [[title_of(label), f"{done:,}", f"{total:,}"] for label, (done, total) in dict(self.steps).items()]
+        text = tabulate(["stage", "done", "of"], rows)
+        if text != self._text:
+            self._text = text
+            put_text(self._stream, STEPS, text)
+
+    def _arrange(self) -> None:
+        """Send a new layout if there is something new to show."""
+        trained = list(self._training.trained) if self._training else []
+        shown = (self._truth is not None, trained, list(self._layers))
+        if shown != self._shown:
+            self._shown = shown
+            pictures = self._scenario.observation == "polar_image"
+            space = self._truth.free_space if self._truth else None
+            layout = make_live_blueprint(space, pictures, trained, self._began_s or 0.0, self._layers)
+            self._stream.send_blueprint(layout)

@@ -24,8 +24,7 @@ from deepgps.terminal.progress import Look, ignore
 from deepgps.viewer.connect import find_url, open_viewer
 from deepgps.viewer.drive import ROBOT
 from deepgps.viewer.error_field import PARTS
-from deepgps.viewer.live import show_live
-from deepgps.viewer.live_view import LiveDrive, LiveView
+from deepgps.viewer.live import LiveDrive, LiveView, show_live
 from deepgps.viewer.read import read_entity
 from deepgps.viewer.stream import RUN_TIME
 from sim.errors import InputError, WorkError
