@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize_scalar, root_scalar
@@ -185,17 +186,8 @@ class Runs:
     valid: np.ndarray
 
 
-@dataclass(frozen=True)
-class Fit:
-    """A maximum of the likelihood: the value, its 95 % interval and the drift.
-
-    Attributes:
-        value: The standard deviation that was looked for.
-        low: Lower bound of its interval.
-        high: Upper bound.
-        drift: Level per drift quantity.
-        drift_std: Its standard deviation.
-    """
+class Fit(NamedTuple):
+    """A maximum of the likelihood: a standard deviation with its 95 % interval, and the drift with its own."""
 
     value: float
     low: float

@@ -24,12 +24,17 @@ TURN = np.array([[0.6, -0.8], [0.8, 0.6]])
 FIELD = ErrorField(np.array([[1.0, 1.0], [2.0, 1.5], [3.0, 2.0]]), np.zeros(1), np.zeros((3, 1, 2)))
 
 
-def find(folder: Path, gaps: float) -> tuple[StoredMap, np.ndarray]:
-    made = drive(120, noise=0.5, gaps=gaps)
-    write_map(folder, find_map(made), made.segments, made.turns)
-    stored = read_map(folder)
-    assert stored is not None
-    return stored, made.place
+@pytest.fixture(scope="module")
+def maps(tmp_path_factory: pytest.TempPathFactory) -> dict[float, tuple[StoredMap, np.ndarray]]:
+    """Maps by the noise of gaps, with the true places."""
+    found = {}
+    for gaps in (0.05, 0.2):
+        folder, made = tmp_path_factory.mktemp("map"), drive(120, noise=0.5, gaps=gaps)
+        write_map(folder, find_map(made), made.segments, made.turns)
+        stored = read_map(folder)
+        assert stored is not None
+        found[gaps] = stored, made.place
+    return found
 
 
 def test_errors_of_the_covariance_that_samples_estimate_have_a_normalised_error_of_one():
@@ -42,26 +47,21 @@ def test_errors_of_the_covariance_that_samples_estimate_have_a_normalised_error_
         assert measure_nees(covariance, samples, 2.0 * wrong) == pytest.approx(4.0, rel=0.05)
 
 
-def test_a_map_is_measured_whatever_its_frame(tmp_path: Path):
-    stored, place = find(tmp_path, 0.1)
+def test_a_map_is_measured_whatever_its_frame(maps):
+    stored, place = maps[0.05]
     one, other = (judge_map(place_map(stored, there)) for there in (place, place @ TURN.T + [5.0, -3.0]))
     for name in ("rms_m", "median_m", "max_m", "nees"):
         assert one[name] == pytest.approx(other[name], rel=1e-6)
     assert 0.1 < one["nees"] < 3.0 and one["median_m"] <= one["rms_m"] <= one["max_m"]
 
 
-def test_theory_grows_with_the_noise(tmp_path: Path):
-    found = []
-    for gaps in (0.05, 0.2):
-        stored, place = find(tmp_path, gaps)
-        expected = add_expected(FIELD, place_map(stored, place)).expected
-        assert expected is not None
-        found.append(expected)
-    assert (found[1] > 1.5 * found[0]).all()
+def test_theory_grows_with_the_noise(maps):
+    low, high = (add_expected(FIELD, place_map(*maps[gaps])).expected for gaps in (0.05, 0.2))
+    assert low is not None and high is not None and (high > 1.5 * low).all()
 
 
-def test_expected_errors_lie_between_those_of_the_observations_around_and_are_kept(tmp_path: Path):
-    stored, place = find(tmp_path, 0.1)
+def test_expected_errors_lie_between_those_of_the_observations_around_and_are_kept(maps, tmp_path: Path):
+    stored, place = maps[0.05]
     field = add_expected(FIELD, place_map(stored, place))
     known = stored.expected[stored.known]
     assert field.expected is not None

@@ -60,7 +60,7 @@ def test_without_odometry_nothing_is_known_but_the_image():
 def test_images_at_rest_do_not_make_up_for_what_was_seen_on_the_way():
     way = np.arange(60) * STEP_M
     ahead = np.column_stack([way, np.zeros(60), np.zeros(60)])
-    wrong = np.tile([2.0, 1.0, 0.5], (900, 1))
-    odometry = np.column_stack([np.append(way, np.full(900, way[-1])), np.zeros(960)])
+    wrong = np.tile([2.0, 1.0, 0.5], (300, 1))
+    odometry = np.column_stack([np.append(way, np.full(300, way[-1])), np.zeros(360)])
     found = track(np.concatenate([ahead, wrong]), odometry, False)
     assert np.linalg.norm(found[-1, :2] - ahead[-1, :2]) < 0.1
