@@ -192,7 +192,7 @@ def make_fault(
     rms: float, exposure: float = 1.0, light: float = 1.0, method: str = "deepgps", lean: float = 0.0
 ) -> Row:
     faults = {"image_faults.exposure": exposure, "deployment.light": light, "camera_mount.roll_deg": lean}
-    return make_row(rms, method, **faults)
+    return {**make_row(rms, method), **faults}
 
 
 FAULTY = [make_fault(0.04, light=0.5), make_fault(0.02), make_fault(0.03, exposure=0.25), make_fault(0.05, 0.25)]
