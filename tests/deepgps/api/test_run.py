@@ -27,21 +27,15 @@ def copied(run: deepgps.Run, tmp_path: Path) -> deepgps.Run:
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_positions_of_the_test_images_are_those_of_the_error_field(run: deepgps.Run, method: str):
+def test_poses_of_the_test_images_are_those_of_the_error_field(run: deepgps.Run, method: str):
     images, field = run.recording.test_observation, read_arrays(run.folder / "error_field.npz")
-    flat = images.reshape(-1, *images.shape[2:])
-    predicted = field[method].reshape(-1, 2)
+    flat, predicted = images.reshape(-1, *images.shape[2:]), field[method].reshape(-1, 2)
     np.testing.assert_allclose(run.position(flat, method), predicted, rtol=0, atol=1e-6)
     np.testing.assert_allclose(run.position(flat[3], method), predicted[3], rtol=0, atol=1e-6)
     assert run.position(flat[3], method).shape == (2,)
     assert run.position(flat[:0], method).shape == (0, 2)
-
-
-@pytest.mark.parametrize("method", METHODS)
-def test_poses_of_the_test_images_are_those_of_the_error_field(run: deepgps.Run, method: str):
-    images, field = run.recording.test_observation, read_arrays(run.folder / "error_field.npz")
-    found = run.pose(images.reshape(-1, *images.shape[2:]), method)
-    np.testing.assert_allclose(found.position, field[method].reshape(-1, 2), rtol=0, atol=1e-6)
+    found = run.pose(flat, method)
+    np.testing.assert_allclose(found.position, predicted, rtol=0, atol=1e-6)
     for part in ("yaw", "yaw_std", "yaw_weight"):
         np.testing.assert_allclose(vars(found)[part], field[f"{part}/{method}"].ravel(), rtol=0, atol=1e-5)
     assert found.position_std is not None and (found.position_std > 0).all()
@@ -49,11 +43,6 @@ def test_poses_of_the_test_images_are_those_of_the_error_field(run: deepgps.Run,
     assert one.yaw is not None and own.yaw is not None
     assert one.position.shape == (2,) and np.shape(one.yaw) == ()
     assert one.yaw_std == own.yaw_std and one.yaw != own.yaw
-
-
-def test_the_report_is_what_the_command_prints(run: deepgps.Run):
-    said = run.report()
-    assert "DeepGPS" in said and "reachable test positions" in said
 
 
 def test_the_map_s_own_frame_differs_by_the_alignment_alone(run: deepgps.Run):
@@ -99,18 +88,16 @@ def test_errors_hold_what_a_method_accepts_and_nothing_where_it_does_not_say(tmp
         assert silent.column(column).null_count == silent.num_rows
 
 
-def test_the_stored_alignment_says_what_it_was_fitted_on(run: deepgps.Run):
-    for method in METHODS:
-        stored = read_json(run.folder / method / "alignment.json")
-        assert stored["fitted_on"] == "truth"
-        assert stored["kind"] == run.metrics["methods"][method]["alignment"]
-        assert stored["scale"] == run.metrics["methods"][method]["scale"]
-
-
 def test_a_run_says_what_it_holds(run: deepgps.Run):
     assert run.methods == run.scenario.methods == ("deepgps_compass", "deepgps", "posenet", "knn")
     assert run.scenario.drive.samples == len(run.recording.observation)
     assert deepgps.load(str(run.folder)) == run
+    said = run.report()
+    assert "DeepGPS" in said and "reachable test positions" in said
+    for method in METHODS:
+        stored, metrics = read_json(run.folder / method / "alignment.json"), run.metrics["methods"][method]
+        assert stored["fitted_on"] == "truth"
+        assert (stored["kind"], stored["scale"]) == (metrics["alignment"], metrics["scale"])
 
 
 @pytest.mark.slow
