@@ -37,9 +37,9 @@ def test_what_is_no_picture_is_refused_in_one_line(image: np.ndarray) -> None:
         ({"data": np.zeros(100, np.uint8)}, "100 bytes, and 64 x 48 pixels of rgb8 with rows of 192 bytes need 9216"),
         ({"step": 10}, "64 x 48 pixels of rgb8 with rows of 10 bytes"),
         ({"height": 0}, "64 x 0 pixels"),
-        ({"encoding": "nv12", "width": 5, "height": 4}, ""),
-        ({"encoding": "nv12", "width": 5, "height": 5}, ""),
-        ({"encoding": "yuyv", "width": 5, "height": 4}, ""),
+        ({"encoding": "nv12", "width": 5, "height": 4}, "OpenCV"),
+        ({"encoding": "nv12", "width": 5, "height": 5}, "OpenCV"),
+        ({"encoding": "yuyv", "width": 5, "height": 4}, "OpenCV"),
     ):
         with pytest.raises(InputError, match=message) as caught:
             decoder(RAW)(SimpleNamespace(**{**encode(image, "rgb8"), **change}))
