@@ -5,6 +5,7 @@ on the floor in the middle of the footprint; the front faces -y, the back +y.
 """
 
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import mujoco
 import numpy as np
@@ -14,7 +15,8 @@ from sim.rooms.furniture.textures import Colour
 
 VISUAL_GROUP = 2
 COLLISION_GROUP = 3
-Body, Rng = mujoco.MjsBody, np.random.Generator
+Body: TypeAlias = mujoco.MjsBody
+Rng: TypeAlias = np.random.Generator
 Point = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 UPRIGHT: Quaternion = (1.0, 0.0, 0.0, 0.0)
