@@ -99,8 +99,12 @@ def make_blueprint_without_truth(
         reckoned: The dead-reckoned path (R, 2) [m].
         last: The methods' last maps (n, 2) [m].
     """
-    shown = {"world/reckoned/path": rrb.VisibleTimeRanges(until_now())}
-    path = rrb.Spatial3DView(name="Dead-reckoned path", origin="world", eye_controls=_aim_at(reckoned), overrides=shown)
+    path = rrb.Spatial3DView(
+        name="Dead-reckoned path",
+        origin="world",
+        eye_controls=_aim_at(reckoned),
+        overrides={"world/reckoned/path": rrb.VisibleTimeRanges(until_now())},
+    )
     beside = rrb.Vertical(
         *_camera_views(pictures),
         series_view("Distance travelled [m]", "drive/distance"),

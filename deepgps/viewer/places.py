@@ -225,7 +225,8 @@ def _log_pictures(
 
     Training images are turned by angles (n, ALIKE + 1) [rad] to the test image's heading.
     """
-    warp = make_warp(camera_of(recording), *recording.observation.shape[1:3], ROUND_PX)
+    rings, sectors = recording.observation.shape[1:3]
+    warp = make_warp(camera_of(recording), rings, sectors, ROUND_PX)
     images = {"test": list(tests)}
     for name, numbers, angles in zip(PICTURES[1:], shown.T, turn.T, strict=True):
         rows = zip(recording.observation[numbers], angles, strict=True)

@@ -80,16 +80,13 @@ def test_the_other_way_round_every_change_turns_its_sign(runs: tuple[Path, Path]
         assert f" | {worse} | {same} | {better} |" in describe(back)
 
 
-def test_a_run_and_its_copy_differ_nowhere(runs: tuple[Path, Path], tmp_path: Path) -> None:
+def test_a_run_and_its_copy_differ_nowhere_and_two_runs_stand_beside_each_other(
+    runs: tuple[Path, Path], tmp_path: Path
+) -> None:
     pair = open_pair([runs[0], Path(shutil.copytree(runs[0], tmp_path / "copy"))])
     text = describe(pair)
-    assert pair.same_floor
-    assert all(not pair.change(method).any() for method in METHODS)
-    assert "Both runs have the same settings." in text
-    assert text.count("| 1.00") == 4 * len(METHODS)
-
-
-def test_figures_and_settings_stand_beside_each_other(runs: tuple[Path, Path]) -> None:
+    assert pair.same_floor and all(not pair.change(method).any() for method in METHODS)
+    assert "Both runs have the same settings." in text and text.count("| 1.00") == 4 * len(METHODS)
     a, b = (np.sqrt(np.mean(worst_errors(run, "deepgps") ** 2)) for run in runs)
     text = describe(open_pair(runs))
     assert f"| DeepGPS | {100 * a:.1f} | {100 * b:.1f} | {b / a:.2f} |" in text
@@ -166,10 +163,8 @@ def test_every_view_shows_what_was_logged_and_the_file_verifies(written: Path) -
 
 
 def test_the_command_writes_a_missing_or_damaged_recording_and_says_where_it_is(
-    copied: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    copied: tuple[Path, Path], tmp_path: Path, without_display: None
 ) -> None:
-    for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
-        monkeypatch.delenv(name, raising=False)
     for _ in range(2):
         done = deepgps_here("view", *map(str, copied), cwd=tmp_path)
         assert done.returncode == 1 and len(done.stderr.strip().splitlines()) == 1, done.stderr

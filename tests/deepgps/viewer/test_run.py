@@ -361,9 +361,9 @@ def test_a_folder_that_is_no_run_or_half_a_run_is_refused_and_left_alone(copied:
     assert not (copied / RECORDING).exists()
 
 
-def test_no_display_and_no_viewer_are_one_clear_line_each(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
-        monkeypatch.delenv(name, raising=False)
+def test_no_display_and_no_viewer_are_one_clear_line_each(
+    run: Path, without_display: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with pytest.raises(WorkError, match="without a display, copy") as caught:
         view([run])
     assert "\n" not in str(caught.value)

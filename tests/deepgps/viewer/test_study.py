@@ -340,9 +340,7 @@ def test_lengths_are_written_in_the_unit_that_suits_them():
 
 
 @pytest.mark.slow
-def test_a_study_that_was_killed_leaves_its_recording_when_it_is_run_again(tmp_path, monkeypatch):
-    for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
-        monkeypatch.delenv(name, raising=False)
+def test_a_study_that_was_killed_leaves_its_recording_when_it_is_run_again(tmp_path, without_display):
     tiny = {"set": {"drive.samples": 40}}
     changes = {"scenario": "plane.yaml", "cases": [{}], "axes": {AXIS: [0.0, 0.3]}, "target": {}, "report": "curves"}
     study = write_study(tmp_path, **changes, tiny=tiny)
