@@ -15,7 +15,7 @@ from urllib.parse import urlsplit
 
 import rerun as rr
 
-from sim.errors import InputError, WorkError
+from sim.errors import InputError, WorkError, one_line
 
 HOST = "127.0.0.1"  # everything that listens here is for this machine alone
 ANSWER_S = 1.5
@@ -97,8 +97,13 @@ def start_viewer(port: int, words: Sequence[str], fix: str) -> Iterator[subproce
         viewer = subprocess.Popen(command, stdout=said, stderr=said, env=quiet, start_new_session=True)
         try:
             yield viewer
-            failed = viewer.poll() not in {None, 0}
+        except WorkError:
+            with suppress(subprocess.TimeoutExpired):
+                viewer.wait(1.0)  # where it ends by itself, its own reason says more
+            if not viewer.poll():
+                raise
         finally:
+            failed = bool(viewer.poll())
             viewer.terminate()
             viewer.wait()
         if failed:
@@ -109,12 +114,18 @@ def start_viewer(port: int, words: Sequence[str], fix: str) -> Iterator[subproce
 
 
 def send_file(recording: Path, url: str) -> None:
-    """Send a recording to a viewer; one that is given the file itself loads it bit by bit, or turns without end."""
+    """Send a recording to a viewer; raise WorkError if it does not take it.
+
+    One that is given the file itself loads it bit by bit, or keeps a core busy without end.
+    """
     stream = rr.RecordingStream("deepgps", send_properties=False)
-    stream.connect_grpc(url)
-    stream.log_file_from_path(recording)
-    stream.flush(timeout_sec=SENDING_S)
-    stream.disconnect()
+    try:
+        stream.connect_grpc(url)
+        stream.log_file_from_path(recording)
+        stream.flush(timeout_sec=SENDING_S)
+        stream.disconnect()
+    except (RuntimeError, OSError) as error:
+        raise WorkError(f"the Rerun viewer did not take {recording} ({one_line(error)})") from None
 
 
 def open_viewer() -> str:
