@@ -9,23 +9,16 @@ AlignmentKind = Literal["E2", "SE2"]
 
 OUTLIER = 4.0
 """Distance at which a sample counts half in a robust alignment, in medians: of a normal distribution 5 deviations."""
-ROUNDS = 20
-"""Rounds of the robust alignment; the weights change by less than a thousandth after half of them."""
+ROUNDS = 20  # Rounds of the robust alignment; the weights change by less than a thousandth after half of them
 
 
 @dataclass(frozen=True)
 class Alignment:
-    """x_world = rotation @ x_method + translation.
+    """x_world = rotation @ x_method + translation."""
 
-    Attributes:
-        rotation: Orthogonal matrix (2, 2), with determinant -1 where the map is mirrored (E2 only).
-        translation: Offset (2,) [m].
-        scale: The factor that a similarity transform would apply [1]; a diagnostic of the encoder, never applied.
-    """
-
-    rotation: np.ndarray
-    translation: np.ndarray
-    scale: float
+    rotation: np.ndarray  # Orthogonal matrix (2, 2), with determinant -1 where the map is mirrored (E2 only)
+    translation: np.ndarray  # Offset (2,) [m]
+    scale: float  # The factor that a similarity transform would apply [1]; a diagnostic of the encoder, never applied
 
     def apply(self, points: np.ndarray) -> np.ndarray:
         """World positions of ``points`` (..., 2) [m]."""

@@ -30,8 +30,7 @@ class EncoderFault:
 ENCODER_FAULTS: dict[str, EncoderFault] = {}
 """Encoder faults of plugins by name: one table, as settings check themselves wherever they are made."""
 HOW_TO_LOAD = "--plugin FILE loads one, in Python plugins=[FILE]"
-MODULE_PREFIX = "deepgps_plugin_"
-"""Beginning of the names of modules that are plugins."""
+MODULE_PREFIX = "deepgps_plugin_"  # Beginning of the names of modules that are plugins
 
 
 def locate_failure(error: BaseException) -> str | None:

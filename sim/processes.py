@@ -13,8 +13,7 @@ from multiprocessing.context import SpawnContext, SpawnProcess
 from multiprocessing.resource_tracker import ensure_running
 from typing import Any
 
-ENDINGS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-"""The signals that end a command."""
+ENDINGS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # The signals that end a command
 OF_A_TERMINAL = (signal.SIGINT, signal.SIGHUP)
 """Signals that a terminal sends to every process of a command, although only the first should react."""
 

@@ -32,8 +32,7 @@ from sim.recording.turns import check_turns
 from sim.sensors.encoder import check_odometry, ticks_to_distance
 from sim.settings import CameraSettings
 
-Values = np.ndarray | Sequence[Any]
-"""An array, or nested sequences of numbers or arrays."""
+Values = np.ndarray | Sequence[Any]  # An array, or nested sequences of numbers or arrays
 SENSORS: dict[ObservationKind, str] = {"polar_image": "fisheye", "scan": "lidar", "vector": "landmarks"}
 """Name of the sensor for each kind of observation that methods learn from."""
 SETTINGS: dict[ObservationKind, dict[str, Any]] = {
@@ -44,8 +43,7 @@ SETTINGS: dict[ObservationKind, dict[str, Any]] = {
 """Settings that give a scenario these observations."""
 CELL_M = 0.02
 MOST_CELLS = 25_000_000
-NEAR_M = 0.15
-"""Without a map, the floor within this distance of a true pose counts as free [m]."""
+NEAR_M = 0.15  # Without a map, the floor within this distance of a true pose counts as free [m]
 
 
 def write_recording(

@@ -27,17 +27,11 @@ if IS_WORKER:
 
 @dataclass(frozen=True)
 class Command:
-    """A command; its module is imported when it is carried out, so that the help and an error come at once.
+    """A command; its module is imported when it is carried out, so that the help and an error come at once."""
 
-    Attributes:
-        module: Module of ``deepgps.commands`` with the function ``<name>_command``.
-        arguments: Name of the type of its arguments there.
-        summary: What the command does, in a few words.
-    """
-
-    module: str
-    arguments: str
-    summary: str
+    module: str  # Module of ``deepgps.commands`` with the function ``<name>_command``
+    arguments: str  # Name of the type of its arguments there
+    summary: str  # What the command does, in a few words
 
     def find(self, name: str) -> Any:
         """What has this name in the command's module."""

@@ -45,8 +45,7 @@ GIVEN_BY: dict[ObservationKind, str] = {
     "vector": "distances to landmarks, which world landmarks alone gives",
 }
 LONGEST_NAME = 64
-NAME = rf"^[A-Za-z0-9_-]{{1,{LONGEST_NAME}}}$"
-"""Pattern of the names of scenarios and studies, which name folders."""
+NAME = rf"^[A-Za-z0-9_-]{{1,{LONGEST_NAME}}}$"  # Pattern of the names of scenarios and studies, which name folders
 
 
 class Scenario(SimSettings):
@@ -116,8 +115,7 @@ class Scenario(SimSettings):
         return SimSettings.model_validate({name: getattr(self, name) for name in SimSettings.model_fields})
 
 
-Spell = Callable[[str], str]
-"""Writes the dotted name of a setting as the user has written it."""
+Spell = Callable[[str], str]  # Writes the dotted name of a setting as the user has written it
 
 
 def load_scenario(source: str, overrides: Mapping[str, Any], spell: Spell = as_key) -> Scenario:

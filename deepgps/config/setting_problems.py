@@ -12,10 +12,8 @@ from deepgps.config.spelling import find_group, find_like, find_settings_like, f
 from sim.errors import quote, shorten
 from sim.settings import Group
 
-DEEPEST = 8
-"""Limit of nested groups in the name of a setting."""
-MOST_PROBLEMS = 5
-"""Number of wrong settings that one message describes; it only counts the others."""
+DEEPEST = 8  # Limit of nested groups in the name of a setting
+MOST_PROBLEMS = 5  # Number of wrong settings that one message describes; it only counts the others
 
 
 def describe_problems(error: ValidationError, kind: type[Group]) -> str:

@@ -6,10 +6,8 @@ from typing import Any, get_args, get_origin
 
 from sim.settings import Group
 
-LIKE, MUCH_LIKE = 0.65, 0.8
-"""Similarity from which a name counts as a misspelling: among few names, and among many."""
-LONGEST = 100
-"""Letters of a name that are compared."""
+LIKE, MUCH_LIKE = 0.65, 0.8  # Similarity from which a name counts as a misspelling: among few names, and among many
+LONGEST = 100  # Letters of a name that are compared
 
 
 def as_key(dotted: str) -> str:

@@ -14,8 +14,7 @@ from sim.errors import InputError
 from sim.recording.format import Recording
 from sim.sensors.encoder import check_odometry, count_from_first, measure_tick
 
-MOST_APART_DEG = 2.0
-"""Difference of two fields of view that moves no pixel by more than a ring or so [deg]."""
+MOST_APART_DEG = 2.0  # Difference of two fields of view that moves no pixel by more than a ring or so [deg]
 
 
 def find_view(recording: Recording) -> float | None:
@@ -35,10 +34,8 @@ def check_view(used_deg: float, learned_deg: float | None) -> None:
 
 FASTEST_MPS = 10.0
 """Highest credible speed of a wheel of a robot in a room [m/s]; a counter that wraps around or restarts exceeds it."""
-ROUNDING_TICKS = 3
-"""Ticks that a gap of any length may be off by."""
-MIN_GAPS = 100
-"""If one wheel turns in so many gaps and the other in none, the other's counter counts as dead."""
+ROUNDING_TICKS = 3  # Ticks that a gap of any length may be off by
+MIN_GAPS = 100  # If one wheel turns in so many gaps and the other in none, the other's counter counts as dead
 
 
 def check_recording(recording: Recording) -> None:
@@ -81,8 +78,7 @@ def check_readings(reading: np.ndarray, time: np.ndarray, observations: int, odo
     _check_ticks(np.diff(count_from_first(reading[:, 2:]), axis=0), seconds, gap[:, 0] == 0, measure_tick(odometry))
 
 
-LARGEST = 1e9
-"""Larger numbers are refused as observations: their squares could exceed the range of float32."""
+LARGEST = 1e9  # Larger numbers are refused as observations: their squares could exceed the range of float32
 CHUNK = 64
 
 

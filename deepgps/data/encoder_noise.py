@@ -19,10 +19,8 @@ from sim.recording.format import Recording
 from sim.sensors.encoder import check_odometry, expect_bias, expect_variance, measure_tick
 from sim.settings import EncoderSettings
 
-DISAGREEMENT = 4.0
-"""Standard deviations by which two wheels may differ on a straight segment."""
-RESOLUTION_M = 0.003
-"""Error of the network itself; smaller encoder errors do not matter. Chosen in one room [m]."""
+DISAGREEMENT = 4.0  # Standard deviations by which two wheels may differ on a straight segment
+RESOLUTION_M = 0.003  # Error of the network itself; smaller encoder errors do not matter. Chosen in one room [m]
 
 
 def expect_errors(recording: Recording, segments: Segments) -> Segments:

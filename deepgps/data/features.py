@@ -28,33 +28,23 @@ from deepgps.data.segments import Segments, subsample_learned
 from sim.errors import InputError
 
 CHUNK = 64  # fits a processor's cache
-LEAST = 1e-8
-"""Added to the product of two magnitudes, so that the phase of an empty pair is not noise."""
-ALIKE = 1e-6
-"""Smallest total difference of descriptions, relative to their size; less is the rounding of float32."""
+LEAST = 1e-8  # Added to the product of two magnitudes, so that the phase of an empty pair is not noise
+ALIKE = 1e-6  # Smallest total difference of descriptions, relative to their size; less is the rounding of float32
 RELIT, LIGHT_WEIGHT = 1500, 0.1
 """Images of which a copy under other light is described, at most; weight of what light changes beside what bends."""
 
 
 @dataclass(frozen=True)
 class Features:
-    """Projection of descriptions, fitted on training observations.
+    """Projection of descriptions, fitted on training observations."""
 
-    Attributes:
-        shape: Shape of one observation.
-        frequencies: Highest frequency kept around the circle; unused for vectors.
-        mean: Mean of the descriptions (K,).
-        basis: Projection (K, components).
-        edges: Edges of the rings of a scan (rings + 1,) [m]; None if observations are not scans.
-        values: What of an image's pixels is described; unused for scans and vectors.
-    """
-
-    shape: tuple[int, ...]
-    frequencies: int
-    mean: torch.Tensor
-    basis: torch.Tensor
+    shape: tuple[int, ...]  # Shape of one observation
+    frequencies: int  # Highest frequency kept around the circle; unused for vectors
+    mean: torch.Tensor  # Mean of the descriptions (K,)
+    basis: torch.Tensor  # Projection (K, components)
+    # Edges of the rings of a scan (rings + 1,) [m]; None if observations are not scans
     edges: torch.Tensor | None = None
-    values: PixelValues = "pixels"
+    values: PixelValues = "pixels"  # What of an image's pixels is described; unused for scans and vectors
 
     def apply(self, observation: np.ndarray, heading: int = 0) -> torch.Tensor:
         """Features (N, components) float32 of observations as ``describe`` takes them, of scans at one heading."""
@@ -285,10 +275,8 @@ GAIN, COLOUR_GAIN = 0.4, 0.1
 """Standard deviation of the logarithm of the light's gain, shared by the colours, and of what is each colour's own."""
 WAVES, BENDS = 4, 2
 """Highest number of periods of a gain around the circle, and of half periods from the centre to the rim."""
-DIMMER = 0.8
-"""Factor of all values, which leaves room for gains above 1."""
-GAMMA = 2.2
-"""Pixel values grow with about this root of the light."""
+DIMMER = 0.8  # Factor of all values, which leaves room for gains above 1
+GAMMA = 2.2  # Pixel values grow with about this root of the light
 
 
 def relight(images: np.ndarray, generator: torch.Generator) -> np.ndarray:

@@ -75,28 +75,19 @@ SHORTEST_M = 0.001
 
 @dataclass(frozen=True)
 class Segments:
-    """Straight segments, padded to the longest; entries past ``count`` are zero and have no meaning.
+    """Straight segments, padded to the longest; entries past ``count`` are zero and have no meaning."""
 
-    Attributes:
-        index: Observations in the order driven (L, longest) int64.
-        distance: Distance of each from the segment's first reading, by encoder (L, longest) [m]. Those that an initial
-            map has corrected begin elsewhere: only their differences have a meaning.
-        count: Readings of each segment (L,) int64, at least 2.
-        skipped: Segments left out because fewer than two readings arrived.
-        weight: Robust weight of each segment (L,), from 0 to 1; None: all are equal.
-        variance: Part of each distance's expected squared error that grows with it (L, longest) [m^2]; None: unknown.
-        rounding_m2: Constant part of the expected squared error of a distance between two readings [m^2].
-        held_out: Segments that no network learns from (L,) bool; None: none.
-    """
-
-    index: torch.Tensor
+    index: torch.Tensor  # Observations in the order driven (L, longest) int64
+    # Distance of each from the segment's first reading, by encoder (L, longest) [m]. Those that an initial map has
+    # corrected begin elsewhere: only their differences have a meaning
     distance: torch.Tensor
-    count: torch.Tensor
-    skipped: int
-    weight: torch.Tensor | None = None
+    count: torch.Tensor  # Readings of each segment (L,) int64, at least 2
+    skipped: int  # Segments left out because fewer than two readings arrived
+    weight: torch.Tensor | None = None  # Robust weight of each segment (L,), from 0 to 1; None: all are equal
+    # Part of each distance's expected squared error that grows with it (L, longest) [m^2]; None: unknown
     variance: torch.Tensor | None = None
-    rounding_m2: float = 0.0
-    held_out: torch.Tensor | None = None
+    rounding_m2: float = 0.0  # Constant part of the expected squared error of a distance between two readings [m^2]
+    held_out: torch.Tensor | None = None  # Segments that no network learns from (L,) bool; None: none
 
     @property
     def learned(self) -> "Segments":

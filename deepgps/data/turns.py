@@ -51,26 +51,18 @@ def find_in_place(turns: Turns) -> np.ndarray:
     return np.flatnonzero((turns.kind == KINDS.index("in_place")) & (turns.image != NO_IMAGE))
 
 
-LEAST_RAD = np.radians(0.1)
-"""Leans, or differences of leans, up to this are not corrected [rad]."""
-LAST_TURNS = 5
-"""Turns in place from which the lean in use is measured."""
-MOST_TURNS = 100
-"""Turns in place from which the lean of the training drive is measured, spread evenly over it."""
+LEAST_RAD = np.radians(0.1)  # Leans, or differences of leans, up to this are not corrected [rad]
+LAST_TURNS = 5  # Turns in place from which the lean in use is measured
+MOST_TURNS = 100  # Turns in place from which the lean of the training drive is measured, spread evenly over it
 ROUNDS = 5
 """Most corrections of the lean: of two images that lean by many degrees apart, one fit finds only a part of it."""
 
 
 class SeenTurns(NamedTuple):
-    """What the images before and after some turns tell.
+    """What the images before and after some turns tell."""
 
-    Attributes:
-        hypotheses: Of the angles turned by the robot, corrected for the camera's lean.
-        upright: What sets its images upright, however small its lean is.
-    """
-
-    hypotheses: Hypotheses
-    upright: Upright
+    hypotheses: Hypotheses  # Of the angles turned by the robot, corrected for the camera's lean
+    upright: Upright  # What sets its images upright, however small its lean is
 
 
 def compare_images(recording: Recording, turns: Turns | None = None, trained: Upright | None = None) -> SeenTurns:
@@ -149,33 +141,23 @@ def describe_lean(lean: tuple[float, float]) -> dict[str, float]:
 WHEELS_RAD, PUSHED_RAD = 0.3, 1.5
 """Standard deviations of a turn by the wheels, to choose between peaks: they may slip, and what the robot touched may
 have turned it by a right angle while they did not move [rad]."""
-WANDER_RAD = np.radians(0.07)
-"""Standard deviation of a segment's mean heading against its heading at the ends [rad]."""
+WANDER_RAD = np.radians(0.07)  # Standard deviation of a segment's mean heading against its heading at the ends [rad]
 BACKED_OFF_M, MEETING_M = 0.05, 0.001
 """Standard deviations of where a segment begins after the robot backed off, and where it turned in place [m]."""
-UNEVEN = 0.3
-"""Standard deviation of the distance between images, as a part of it, where readings were lost."""
+UNEVEN = 0.3  # Standard deviation of the distance between images, as a part of it, where readings were lost
 UNKNOWN_RAD, UNKNOWN_M = 3.0, 10.0
 """Standard deviations of a turn and of a way of which nothing is known: the robot was carried [rad], [m]."""
 
 
 @dataclass(frozen=True)
 class CompassTurns:
-    """The turns between consecutive rows of ``Segments``.
+    """The turns between consecutive rows of ``Segments``."""
 
-    Attributes:
-        angle: Turn to the left (L - 1,) [rad].
-        angle_std: Its standard deviation (L - 1,) [rad].
-        jump: From the end of a segment to the beginning of the next, in the frame of the first (L - 1, 2) [m].
-        jump_std: Its standard deviation along each axis (L - 1,) [m].
-        upright: What sets images of the camera upright; the angles are corrected for its lean.
-    """
-
-    angle: np.ndarray
-    angle_std: np.ndarray
-    jump: np.ndarray
-    jump_std: np.ndarray
-    upright: Upright | None = None
+    angle: np.ndarray  # Turn to the left (L - 1,) [rad]
+    angle_std: np.ndarray  # Its standard deviation (L - 1,) [rad]
+    jump: np.ndarray  # From the end of a segment to the beginning of the next, in the frame of the first (L - 1, 2) [m]
+    jump_std: np.ndarray  # Its standard deviation along each axis (L - 1,) [m]
+    upright: Upright | None = None  # What sets images of the camera upright; the angles are corrected for its lean
 
 
 def measure_turns(recording: Recording) -> CompassTurns:
@@ -249,32 +231,21 @@ def _direct(heading: float) -> np.ndarray:
 
 
 RINGS = 8
-WAVES = 24
-"""Highest number of cycles around the circle."""
-SMOOTH = 6.0
-"""Slow changes of light are suppressed by k / (k + SMOOTH), k in cycles around the circle."""
-FINER = 8
-"""Samples of the correlation for each cycle of the highest wave."""
-AMBIGUOUS = 0.9
-"""A second peak of the correlation above this part of the first leaves the heading open."""
-STEPS = 1500
-"""Steps between readings that measure the curvature at most."""
-LARGEST_RAD = 0.5
-"""No robot turns by more from one reading to the next of a segment [rad]."""
+WAVES = 24  # Highest number of cycles around the circle
+SMOOTH = 6.0  # Slow changes of light are suppressed by k / (k + SMOOTH), k in cycles around the circle
+FINER = 8  # Samples of the correlation for each cycle of the highest wave
+AMBIGUOUS = 0.9  # A second peak of the correlation above this part of the first leaves the heading open
+STEPS = 1500  # Steps between readings that measure the curvature at most
+LARGEST_RAD = 0.5  # No robot turns by more from one reading to the next of a segment [rad]
 CHUNK = 1000
 
 
 @dataclass(frozen=True)
 class Headings:
-    """Relative headings of n pairs of images.
+    """Relative headings of n pairs of images."""
 
-    Attributes:
-        turn: Angle from the first image's heading to the second's, to the left (n,) [rad].
-        clear: Whether the correlation has one highest peak only (n,) bool.
-    """
-
-    turn: np.ndarray
-    clear: np.ndarray
+    turn: np.ndarray  # Angle from the first image's heading to the second's, to the left (n,) [rad]
+    clear: np.ndarray  # Whether the correlation has one highest peak only (n,) bool
 
 
 def compare_headings(images: np.ndarray, first: np.ndarray, second: np.ndarray) -> Headings:

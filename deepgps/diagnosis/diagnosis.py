@@ -22,10 +22,8 @@ LEARNED_WITH = ("step_noise", "slip_per_m", "track_m")
 SCALE_STD, CURVE_STD, DRIFT_STD = 3.5e-4, 3e-4, 3e-5
 """What wheels do by themselves on a floor, where nothing is wrong: error of the scale of turns, of a curvature [1/m],
 and of the ratio of the readings. Measured without faults: the first in ten rooms of six kinds, the others in three."""
-FEWEST_READINGS = 3
-"""Readings that a diagnosis needs at least."""
-MOST_APART = 1.9
-"""Largest difference of the wheels' distances over their mean of which a ratio is taken."""
+FEWEST_READINGS = 3  # Readings that a diagnosis needs at least
+MOST_APART = 1.9  # Largest difference of the wheels' distances over their mean of which a ratio is taken
 
 
 @dataclass(frozen=True)
@@ -54,35 +52,21 @@ class StuckStretch:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What was measured of the wheels.
+    """What was measured of the wheels."""
 
-    Attributes:
-        track_m: Track width that makes turns by the wheels agree with the camera, in the odometry's metres [m].
-        reading_ratio: Distance that the right wheel reads over what the left one reads, for the same angle of both.
-        wheel_ratio: Radius of the right wheel over that of the left one; not 1: the robot curves.
-        step_noise: Noise ``w`` of each gap, as a part of it.
-        slip_per_m: Standard deviation of a wheel's slip after a metre [m].
-        tick_m: Distance that a wheel travels between two counts [m].
-        dropout: Part of the readings that never arrived.
-        stuck_fraction: Part of the gaps in which a wheel is stuck.
-        stretches: Stretches in which a wheel is stuck.
-        turns: Turns in place that were compared.
-        pairs: Pairs of images from which the curvature was found.
-        odometry: The constants that the readings were converted with.
-    """
-
-    track_m: Estimate
+    track_m: Estimate  # Track width that makes turns by the wheels agree with the camera, in the odometry's metres [m]
+    # Distance that the right wheel reads over what the left one reads, for the same angle of both
     reading_ratio: Estimate
-    wheel_ratio: Estimate
-    step_noise: Estimate
-    slip_per_m: Estimate
-    tick_m: Estimate
-    dropout: Estimate
-    stuck_fraction: Estimate
-    stretches: tuple[StuckStretch, ...]
-    turns: int
-    pairs: int
-    odometry: dict[str, float]
+    wheel_ratio: Estimate  # Radius of the right wheel over that of the left one; not 1: the robot curves
+    step_noise: Estimate  # Noise ``w`` of each gap, as a part of it
+    slip_per_m: Estimate  # Standard deviation of a wheel's slip after a metre [m]
+    tick_m: Estimate  # Distance that a wheel travels between two counts [m]
+    dropout: Estimate  # Part of the readings that never arrived
+    stuck_fraction: Estimate  # Part of the gaps in which a wheel is stuck
+    stretches: tuple[StuckStretch, ...]  # Stretches in which a wheel is stuck
+    turns: int  # Turns in place that were compared
+    pairs: int  # Pairs of images from which the curvature was found
+    odometry: dict[str, float]  # The constants that the readings were converted with
 
     @property
     def quantities(self) -> dict[str, Estimate]:

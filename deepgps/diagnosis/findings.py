@@ -14,8 +14,7 @@ SURE = 1.7
 quantities are looked at in every recording."""
 RATIO, TRACK, SLIP, STEP, TICK_M, LOST = 0.002, 0.003, 0.002, 0.005, 0.002, 0.005
 """Smallest faults that are reported, as parts, or in metres; smaller ones do not matter for a map."""
-SPACING_M = 0.08
-"""Distance between two readings for which the noise of a gap is compared with other noise [m]."""
+SPACING_M = 0.08  # Distance between two readings for which the noise of a gap is compared with other noise [m]
 
 
 UNKNOWN = (
@@ -26,40 +25,24 @@ UNKNOWN = (
 
 @dataclass(frozen=True)
 class Finding:
-    """One fault.
+    """One fault."""
 
-    Attributes:
-        fault: Its name: radius, wheel, track, slip, step_noise, ticks, dropout or stuck.
-        text: What is wrong, how large it is, and its 95 % interval.
-        cure: What to set.
-        setting: The testbed's setting that makes this fault.
-    """
-
-    fault: str
-    text: str
-    cure: str
-    setting: str
+    fault: str  # Its name: radius, wheel, track, slip, step_noise, ticks, dropout or stuck
+    text: str  # What is wrong, how large it is, and its 95 % interval
+    cure: str  # What to set
+    setting: str  # The testbed's setting that makes this fault
 
 
 @dataclass(frozen=True)
 class Correction:
-    """What to set in the odometry, in units of the constants that it has.
+    """What to set in the odometry, in units of the constants that it has."""
 
-    Attributes:
-        left: Radius of the left wheel over the one assumed.
-        right: Radius of the right wheel over the one assumed.
-        track: Track width over the one assumed.
-        readings: Wheel whose readings have the wrong scale, or none.
-        wheel: Wheel whose own radius is wrong, or none.
-        exact: Whether one wheel explains the turns too, so that the track width stays.
-    """
-
-    left: float
-    right: float
-    track: float
-    readings: str | None
-    wheel: str | None
-    exact: bool
+    left: float  # Radius of the left wheel over the one assumed
+    right: float  # Radius of the right wheel over the one assumed
+    track: float  # Track width over the one assumed
+    readings: str | None  # Wheel whose readings have the wrong scale, or none
+    wheel: str | None  # Wheel whose own radius is wrong, or none
+    exact: bool  # Whether one wheel explains the turns too, so that the track width stays
 
 
 def list_smallest(diagnosis: Diagnosis) -> dict[str, float]:

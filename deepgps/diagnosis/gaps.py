@@ -14,49 +14,31 @@ from sim.sensors.encoder import measure_tick
 
 STUCK_TICKS, STUCK_M = 6, 0.3
 """A wheel is stuck where it counts nothing while the other one counts this many ticks and travels this far [m]."""
-LEAST_TICKS = 2
-"""A gap with fewer ticks of the moving wheel may show none of the other one by rounding alone."""
+LEAST_TICKS = 2  # A gap with fewer ticks of the moving wheel may show none of the other one by rounding alone
 Z95 = 1.96
 
 
 @dataclass(frozen=True)
 class Stretch:
-    """A stretch in which a wheel is stuck.
+    """A stretch in which a wheel is stuck."""
 
-    Attributes:
-        wheel: 0 left, 1 right.
-        first: First gap of the stretch.
-        last: Last gap, inclusive.
-        doubtful: Gaps at its two ends that rounding alone may have emptied.
-    """
-
-    wheel: int
-    first: int
-    last: int
-    doubtful: int
+    wheel: int  # 0 left, 1 right
+    first: int  # First gap of the stretch
+    last: int  # Last gap, inclusive
+    doubtful: int  # Gaps at its two ends that rounding alone may have emptied
 
 
 @dataclass(frozen=True)
 class Gaps:
-    """The G = R - 1 gaps between consecutive readings.
+    """The G = R - 1 gaps between consecutive readings."""
 
-    Attributes:
-        way: Distance by the left and the right wheel (G, 2) [m].
-        seconds: Duration (G,) [s].
-        made_of: Original gaps in each (G,); more than one where readings were lost.
-        inside: Whether the gap is on a segment (G,) bool; the others are turns.
-        stuck: Stretches in which a wheel is stuck.
-        good: Whether no wheel is stuck in the gap or beside it (G,) bool.
-        tick_m: Distance that a wheel travels between two counts [m].
-    """
-
-    way: np.ndarray
-    seconds: np.ndarray
-    made_of: np.ndarray
-    inside: np.ndarray
-    stuck: tuple[Stretch, ...]
-    good: np.ndarray
-    tick_m: float
+    way: np.ndarray  # Distance by the left and the right wheel (G, 2) [m]
+    seconds: np.ndarray  # Duration (G,) [s]
+    made_of: np.ndarray  # Original gaps in each (G,); more than one where readings were lost
+    inside: np.ndarray  # Whether the gap is on a segment (G,) bool; the others are turns
+    stuck: tuple[Stretch, ...]  # Stretches in which a wheel is stuck
+    good: np.ndarray  # Whether no wheel is stuck in the gap or beside it (G,) bool
+    tick_m: float  # Distance that a wheel travels between two counts [m]
 
 
 def read_gaps(recording: Recording) -> Gaps:
@@ -152,38 +134,26 @@ def mend_stuck(recording: Recording) -> Recording:
     return replace(recording, reading=reading)
 
 
-FLOOR_M = 1e-5
-"""Error of a reading of the best encoder [m]: it keeps the likelihood finite where nothing is noisy."""
-CREEP = 3e-5
-"""Slip after a metre [m], and noise of a gap, of wheels without faults: they creep on the floor."""
+FLOOR_M = 1e-5  # Error of a reading of the best encoder [m]: it keeps the likelihood finite where nothing is noisy
+CREEP = 3e-5  # Slip after a metre [m], and noise of a gap, of wheels without faults: they creep on the floor
 ROUNDINGS = (0.03, 0.1, 0.3, 0.6, 1.0, 1.5, 2.0)
 """Variances of rounding that are tried, as multiples of that of independent wheels: both may round alike."""
-FINE_M = 2e-4
-"""Ticks so short that their rounding need not be known well [m]."""
-BEYOND = 0.02
-"""Share of the runs that may leave what rounding alone can give: somebody touched the robot."""
+FINE_M = 2e-4  # Ticks so short that their rounding need not be known well [m]
+BEYOND = 0.02  # Share of the runs that may leave what rounding alone can give: somebody touched the robot
 CHI2_95 = 3.841
-FARTHEST = 4.0
-"""Standard deviations beyond which an innovation counts no more: a contact, or a wheel that was lifted."""
-SPEEDING, BRAKING = 1, 2
-"""Gaps at the beginning and the end of a segment in which the robot changes its speed."""
+FARTHEST = 4.0  # Standard deviations beyond which an innovation counts no more: a contact, or a wheel that was lifted
+SPEEDING, BRAKING = 1, 2  # Gaps at the beginning and the end of a segment in which the robot changes its speed
 
 
 @dataclass(frozen=True)
 class Runs:
-    """Consecutive readings of S runs, padded to the longest (S, m); ``valid`` marks those that exist.
+    """Consecutive readings of S runs, padded to the longest (S, m); ``valid`` marks those that exist."""
 
-    Attributes:
-        level: What is read, counted from the run's first reading (S, m) [m].
-        drift: The quantity it drifts with, counted likewise (S, m).
-        size: Per gap before each reading: the quantities that its variance is made of, by name (S, m).
-        valid: Mask (S, m) bool.
-    """
-
-    level: np.ndarray
-    drift: np.ndarray
+    level: np.ndarray  # What is read, counted from the run's first reading (S, m) [m]
+    drift: np.ndarray  # The quantity it drifts with, counted likewise (S, m)
+    # Per gap before each reading: the quantities that its variance is made of, by name (S, m)
     size: dict[str, np.ndarray]
-    valid: np.ndarray
+    valid: np.ndarray  # Mask (S, m) bool
 
 
 class Fit(NamedTuple):

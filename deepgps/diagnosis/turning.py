@@ -17,43 +17,30 @@ from sim.sensors.camera.lens import Lens, make_lens
 from sim.sensors.compass import Hypotheses, disambiguate, find_turns
 from sim.settings import SimSettings
 
-PAIRS = 300
-"""Pairs of images of one place, taken on different segments, that are compared."""
+PAIRS = 300  # Pairs of images of one place, taken on different segments, that are compared
 NEAREST, FARTHEST = 25, 400
 """Observations that lie between the two images of a pair: enough for a curve to show, few enough to know the turns."""
-LOOKS = 3000
-"""Observations among which alike ones are sought."""
-FREQUENCIES = 6
-"""Lowest frequencies around the circle in the description of an image."""
-HUBER = 2.5
-"""Standard deviations beyond which a residual counts as one of this size."""
-MEDIAN_TO_STD = 1.4826
-"""Standard deviation of a normal distribution over the median of its absolute values."""
-TURN_RAD = np.radians(0.05)
-"""Error of a turn by the camera, beside the one that its images tell [rad]."""
+LOOKS = 3000  # Observations among which alike ones are sought
+FREQUENCIES = 6  # Lowest frequencies around the circle in the description of an image
+HUBER = 2.5  # Standard deviations beyond which a residual counts as one of this size
+MEDIAN_TO_STD = 1.4826  # Standard deviation of a normal distribution over the median of its absolute values
+TURN_RAD = np.radians(0.05)  # Error of a turn by the camera, beside the one that its images tell [rad]
 PLACE_RAD = np.radians(0.5)
 """Error of the angle between two images of about one place, beside the one that they tell [rad]."""
-CURVES = np.linspace(-1.0, 1.0, 4001)
-"""Curvatures among which the one of the segments is sought [rad/m]."""
-UNKNOWN = 1.0
-"""Standard deviation of what was not measured."""
-FEWEST = 8
-"""Turns or pairs below which nothing is concluded."""
+CURVES = np.linspace(-1.0, 1.0, 4001)  # Curvatures among which the one of the segments is sought [rad/m]
+UNKNOWN = 1.0  # Standard deviation of what was not measured
+FEWEST = 8  # Turns or pairs below which nothing is concluded
 
 
 @dataclass
 class Sight:
-    """The angles of one drive's images, each found once.
+    """The angles of one drive's images, each found once."""
 
-    Attributes:
-        turns: Hypotheses of a turn by its two images: observation before, and turn image or -1 - observation after.
-        pairs: Observations of pairs that look alike (P, 2), the earlier one first; None: not sought yet.
-        pair_turns: Hypotheses of the angle from the first to the second of a pair.
-    """
-
+    # Hypotheses of a turn by its two images: observation before, and turn image or -1 - observation after
     turns: dict[tuple[int, int], tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict)
+    # Observations of pairs that look alike (P, 2), the earlier one first; None: not sought yet
     pairs: np.ndarray | None = None
-    pair_turns: Hypotheses | None = None
+    pair_turns: Hypotheses | None = None  # Hypotheses of the angle from the first to the second of a pair
 
 
 def see_turns(recording: Recording, sight: Sight) -> Hypotheses:

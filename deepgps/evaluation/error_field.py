@@ -17,34 +17,26 @@ MEASURE_AGAIN = "deepgps run with the same scenario and --out measures the metho
 
 @dataclass(frozen=True)
 class ErrorField:
-    """One method's error over the room.
+    """One method's error over the room."""
 
-    Attributes:
-        truth: Test positions (C, 2) [m].
-        heading: Test headings [rad], shared by all positions (H,) or separate for each (C, H).
-        predicted: Aligned predictions (C, H, 2) [m].
-        yaw: Aligned predictions of the heading (C, H) [rad]; NaN for an image without; None: the method gives none.
-        yaw_std: Its standard deviation, as the method estimates it (C, H) [rad]; None like ``yaw``.
-        yaw_weight: Share of the stored images compared that agree on the yaw (C, H); None like ``yaw``.
-        expected: RMS error that the initial map's own covariance expects there (C,) [m]; None: the method knows none.
-        novelty: How unlike all training images each image is (C, H); None: the method does not say.
-        radius: Radius around the prediction that holds the true position with a probability of 68 % (C, H) [m]; None:
-            the method gives none.
-        radius_95: The same for 95 % (C, H) [m]; None like ``radius``.
-        accepted: Whether the method accepts each image (C, H) bool; None: it refuses none.
-    """
-
-    truth: np.ndarray
-    heading: np.ndarray
-    predicted: np.ndarray
+    truth: np.ndarray  # Test positions (C, 2) [m]
+    heading: np.ndarray  # Test headings [rad], shared by all positions (H,) or separate for each (C, H)
+    predicted: np.ndarray  # Aligned predictions (C, H, 2) [m]
+    # Aligned predictions of the heading (C, H) [rad]; NaN for an image without; None: the method gives none
     yaw: np.ndarray | None = None
+    # Its standard deviation, as the method estimates it (C, H) [rad]; None like ``yaw``
     yaw_std: np.ndarray | None = None
+    # Share of the stored images compared that agree on the yaw (C, H); None like ``yaw``
     yaw_weight: np.ndarray | None = None
+    # RMS error that the initial map's own covariance expects there (C,) [m]; None: the method knows none
     expected: np.ndarray | None = None
+    # How unlike all training images each image is (C, H); None: the method does not say
     novelty: np.ndarray | None = None
+    # Radius around the prediction that holds the true position with a probability of 68 % (C, H) [m]; None: the
+    # method gives none
     radius: np.ndarray | None = None
-    radius_95: np.ndarray | None = None
-    accepted: np.ndarray | None = None
+    radius_95: np.ndarray | None = None  # The same for 95 % (C, H) [m]; None like ``radius``
+    accepted: np.ndarray | None = None  # Whether the method accepts each image (C, H) bool; None: it refuses none
 
     @property
     def error(self) -> np.ndarray:
@@ -91,21 +83,13 @@ def write_fields(path: Path, fields: Mapping[str, ErrorField]) -> None:
 
 @dataclass(frozen=True)
 class WorstField:
-    """One method's error field with only the worst heading of each test position.
+    """One method's error field with only the worst heading of each test position."""
 
-    Attributes:
-        truth: Test positions (C, 2) [m].
-        predicted: Aligned prediction at the heading with the largest error, for each position (C, 2) [m].
-        error: Its distance from the truth (C,) [m].
-        heading: That heading (C,) [rad].
-        radius: Radius of 68 % there (C,) [m]; None: the method gives none.
-    """
-
-    truth: np.ndarray
-    predicted: np.ndarray
-    error: np.ndarray
-    heading: np.ndarray
-    radius: np.ndarray | None = None
+    truth: np.ndarray  # Test positions (C, 2) [m]
+    predicted: np.ndarray  # Aligned prediction at the heading with the largest error, for each position (C, 2) [m]
+    error: np.ndarray  # Its distance from the truth (C,) [m]
+    heading: np.ndarray  # That heading (C,) [rad]
+    radius: np.ndarray | None = None  # Radius of 68 % there (C,) [m]; None: the method gives none
 
     def take(self, chosen: np.ndarray | slice) -> "WorstField":
         """The field at some of its places."""

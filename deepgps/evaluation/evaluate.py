@@ -54,26 +54,17 @@ from sim.recording.format import (
     open_truth,
 )
 
-FAR_M = 0.5
-"""Distance from the truth beyond which a training image counts as misplaced [m]."""
+FAR_M = 0.5  # Distance from the truth beyond which a training image counts as misplaced [m]
 
 
 class Predictions(NamedTuple):
-    """What a trained method predicts of a recording, in the method's own frame.
+    """What a trained method predicts of a recording, in the method's own frame."""
 
-    Attributes:
-        training: Positions of the training images (N, 2) [m].
-        poses: Poses of the test images (C * H).
-        trained: The positioner as it was trained.
-        positioner: The positioner of the camera in use, which took the test images.
-        lean: How that camera leans, for ``metrics.json``.
-    """
-
-    training: np.ndarray
-    poses: Poses
-    trained: Positioner
-    positioner: Positioner
-    lean: dict[str, float]
+    training: np.ndarray  # Positions of the training images (N, 2) [m]
+    poses: Poses  # Poses of the test images (C * H)
+    trained: Positioner  # The positioner as it was trained
+    positioner: Positioner  # The positioner of the camera in use, which took the test images
+    lean: dict[str, float]  # How that camera leans, for ``metrics.json``
 
 
 def evaluate(run: Path, scenario: Scenario, progress: Report = ignore) -> dict[str, Any]:

@@ -21,29 +21,19 @@ from sim.recording.format import Recording, Truth
 from sim.recording.turns import Turns, from_array
 from sim.settings import CameraMountSettings
 
-UNDECIDED = 0.05
-"""A map is undecided if more than this share of the observations may lie elsewhere."""
-NEAREST = 8
-"""Training observations between which the expected error is interpolated."""
+UNDECIDED = 0.05  # A map is undecided if more than this share of the observations may lie elsewhere
+NEAREST = 8  # Training observations between which the expected error is interpolated
 ROUNDING_M = 1e-6
 
 
 class PlacedMap(NamedTuple):
-    """The known positions (n) of a map in the world's frame, beside the truth.
+    """The known positions (n) of a map in the world's frame, beside the truth."""
 
-    Attributes:
-        position: Positions (n, 2) [m].
-        covariance: Their covariances (n, 2, 2) [m^2], estimated from ``samples`` samples.
-        expected: Their expected errors (n,) [m].
-        truth: True positions of the camera (n, 2) [m].
-        samples: Number of samples.
-    """
-
-    position: np.ndarray
-    covariance: np.ndarray
-    expected: np.ndarray
-    truth: np.ndarray
-    samples: int
+    position: np.ndarray  # Positions (n, 2) [m]
+    covariance: np.ndarray  # Their covariances (n, 2, 2) [m^2], estimated from ``samples`` samples
+    expected: np.ndarray  # Their expected errors (n,) [m]
+    truth: np.ndarray  # True positions of the camera (n, 2) [m]
+    samples: int  # Number of samples
 
 
 def place_map(stored: StoredMap, place: np.ndarray) -> PlacedMap:
@@ -114,29 +104,19 @@ def find_true_camera(recording: Recording, truth: Truth) -> np.ndarray:
     return truth.pose[:, :2] + mount.ahead_m * ahead + mount.left_m * ahead[:, ::-1] * [-1.0, 1.0]
 
 
-AGREE_RAD = 0.35
-"""A turn of the map agrees with the compass within this angle [rad]."""
-SHORTEST_M = 0.3
-"""Shorter segments have no direction that counts [m]."""
-NEAR_M = 0.15
-"""Segments that come so near to each other on the map belong to one part [m]."""
-FEWEST = 3
-"""Segments that a part has at least."""
+AGREE_RAD = 0.35  # A turn of the map agrees with the compass within this angle [rad]
+SHORTEST_M = 0.3  # Shorter segments have no direction that counts [m]
+NEAR_M = 0.15  # Segments that come so near to each other on the map belong to one part [m]
+FEWEST = 3  # Segments that a part has at least
 
 
 @dataclass(frozen=True)
 class TurnedParts:
-    """What the compass says of a map.
+    """What the compass says of a map."""
 
-    Attributes:
-        share: Part of the way driven that lies in parts that are mirrored or turned.
-        parts: Observations of each such part, the largest first.
-        turns: Number of turns that were compared.
-    """
-
-    share: float
-    parts: list[np.ndarray]
-    turns: int
+    share: float  # Part of the way driven that lies in parts that are mirrored or turned
+    parts: list[np.ndarray]  # Observations of each such part, the largest first
+    turns: int  # Number of turns that were compared
 
 
 def find_turned_parts(positions: np.ndarray, recording: Recording) -> TurnedParts | None:

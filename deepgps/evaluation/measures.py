@@ -86,8 +86,7 @@ def measure_visible(space: FreeSpace, points: np.ndarray) -> np.ndarray:
     return np.minimum(np.pi * np.square(length).mean(axis=1) / (space.reachable.sum() * space.cell_m**2), 1.0)
 
 
-PATCH_SPACING_M = 0.1
-"""Side of the cells on which patches are measured [m]."""
+PATCH_SPACING_M = 0.1  # Side of the cells on which patches are measured [m]
 
 
 def measure_flipped(truth: np.ndarray, predicted: np.ndarray, spacing_m: float) -> float:
@@ -130,8 +129,7 @@ def _measure_areas(cell: np.ndarray, place: np.ndarray) -> np.ndarray:
     return right[..., 0] * up[..., 1] - right[..., 1] * up[..., 0]
 
 
-CELL_M = 0.25
-"""Side of a cell [m]."""
+CELL_M = 0.25  # Side of a cell [m]
 
 
 def expect_new(places: np.ndarray, segment: np.ndarray) -> float:
@@ -180,8 +178,7 @@ PARTS = {"novelty": "novelty", "radius": "radius_68", "radius_95": "radius_95", 
 LARGE_M = 0.1
 LEAST = 20
 """Errors above ``LARGE_M`` should be refused; with fewer images than this above or below it, no AUROC is given."""
-REFUSED = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1)
-"""Shares of images refused in the table of the risk-coverage curve."""
+REFUSED = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1)  # Shares of images refused in the table of the risk-coverage curve
 
 
 def make_field(poses: Poses, true: np.ndarray, alignment: Alignment, with_yaw: bool = True) -> ErrorField:

@@ -11,8 +11,7 @@ from sim.alignment import fit_alignment
 from sim.recording.format import Recording, Truth, measure_driven
 from sim.settings import EncoderSettings
 
-HEADED_BY_M = 3.0
-"""Way of the true path by which a dead-reckoned one is rotated [m]."""
+HEADED_BY_M = 3.0  # Way of the true path by which a dead-reckoned one is rotated [m]
 
 
 def judge_encoders(recording: Recording, truth: Truth) -> dict[str, Any]:

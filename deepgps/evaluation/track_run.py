@@ -28,46 +28,29 @@ from sim.geometry import FreeSpace, wrap
 from sim.recording.format import Recording, has_truth, open_recording, open_truth
 from sim.recording.turns import NO_IMAGE
 
-FOLDER = "tracking"
-"""Folder of tracked drives in a run's folder."""
+FOLDER = "tracking"  # Folder of tracked drives in a run's folder
 
 
 @dataclass(frozen=True)
 class Reference:
-    """Where the robot truly was.
+    """Where the robot truly was."""
 
-    Attributes:
-        alignment: From the method's frame to the world's.
-        pose: True pose of each image (M, 3); NaN for images after turns.
-        space: Where the robot fits.
-    """
-
-    alignment: Alignment
-    pose: np.ndarray
-    space: FreeSpace
+    alignment: Alignment  # From the method's frame to the world's
+    pose: np.ndarray  # True pose of each image (M, 3); NaN for images after turns
+    space: FreeSpace  # Where the robot fits
 
 
 @dataclass(frozen=True)
 class Tracked:
-    """A tracked drive of a run.
+    """A tracked drive of a run."""
 
-    Attributes:
-        method: Name of the method.
-        path: Path of its files, without their suffix.
-        track: The track.
-        figures: Contents of its ``.json``.
-        alignment: From the method's frame to the world's; None: evaluation has not placed the map there.
-        start_s: The log's time of the track's time 0 [s since 1970]; 0 for a drive that comes from no log.
-        reference: The truth; None: it is not known.
-    """
-
-    method: str
-    path: Path
-    track: Track
-    figures: dict[str, Any]
-    alignment: Alignment | None
-    start_s: float
-    reference: Reference | None
+    method: str  # Name of the method
+    path: Path  # Path of its files, without their suffix
+    track: Track  # The track
+    figures: dict[str, Any]  # Contents of its ``.json``
+    alignment: Alignment | None  # From the method's frame to the world's; None: evaluation has not placed the map there
+    start_s: float  # The log's time of the track's time 0 [s since 1970]; 0 for a drive that comes from no log
+    reference: Reference | None  # The truth; None: it is not known
 
 
 def track_run(run: Path, method: str | None, drive: Path | None, progress: Report) -> Tracked:
@@ -221,8 +204,7 @@ def _find_motions(pose: np.ndarray, apart: int) -> tuple[np.ndarray, np.ndarray]
     return (rotate(-pose[:-apart, 2]) @ away[:, :2, None])[..., 0], away[:, 2]
 
 
-APART = 10
-"""Images between the two poses of a relative error."""
+APART = 10  # Images between the two poses of a relative error
 
 
 def measure_track(track: Track, alignment: Alignment, true: np.ndarray) -> dict[str, dict[str, float]]:

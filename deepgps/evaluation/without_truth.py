@@ -33,8 +33,7 @@ from sim.geometry import wrap
 from sim.recording.format import Recording, open_recording
 from sim.recording.turns import from_array
 
-FEWEST = 3
-"""Fewest images of a segment that can be off a straight line."""
+FEWEST = 3  # Fewest images of a segment that can be off a straight line
 
 
 def judge(run: Path, scenario: Scenario, progress: Report = ignore) -> dict[str, Any]:

@@ -18,39 +18,22 @@ FILE = "map.npz"
 
 @dataclass(frozen=True)
 class StoredMap:
-    """A map by compass, with k stages of its making, n loop closures and L - 1 turns.
+    """A map by compass, with k stages of its making, n loop closures and L - 1 turns."""
 
-    Attributes:
-        places: Positions of the camera at the observations (N, 2) [m]; NaN where they are unknown.
-        heading: Heading of the robot at each (N,) [rad].
-        covariance: Of each position's error, after alignment of the whole map (N, 2, 2) [m^2].
-        samples: Number of samples that each covariance is the mean of ().
-        undecided: Observations that may lie elsewhere (N,) bool.
-        closure: The two observations of each loop closure (n, 2).
-        closure_turn: Angle from the first's heading to the second's, to the left (n,) [rad]; NaN: open.
-        turn: Last observation before and first observation after each turn (L - 1, 2).
-        turn_angle: Turn to the left (L - 1,) [rad].
-        turn_std: Its standard deviation (L - 1,) [rad].
-        stage: Rounds before each stage (k,); 0: as laid out along the compass headings.
-        stage_places: Positions at each stage (k, N, 2) float32 [m].
-        stage_heading: Headings at each stage (k, N) float32 [rad].
-        stage_believed: Loop closures believed at each stage (k, n) bool.
-    """
-
-    places: np.ndarray
-    heading: np.ndarray
-    covariance: np.ndarray
-    samples: np.ndarray
-    undecided: np.ndarray
-    closure: np.ndarray
-    closure_turn: np.ndarray
-    turn: np.ndarray
-    turn_angle: np.ndarray
-    turn_std: np.ndarray
-    stage: np.ndarray
-    stage_places: np.ndarray
-    stage_heading: np.ndarray
-    stage_believed: np.ndarray
+    places: np.ndarray  # Positions of the camera at the observations (N, 2) [m]; NaN where they are unknown
+    heading: np.ndarray  # Heading of the robot at each (N,) [rad]
+    covariance: np.ndarray  # Of each position's error, after alignment of the whole map (N, 2, 2) [m^2]
+    samples: np.ndarray  # Number of samples that each covariance is the mean of ()
+    undecided: np.ndarray  # Observations that may lie elsewhere (N,) bool
+    closure: np.ndarray  # The two observations of each loop closure (n, 2)
+    closure_turn: np.ndarray  # Angle from the first's heading to the second's, to the left (n,) [rad]; NaN: open
+    turn: np.ndarray  # Last observation before and first observation after each turn (L - 1, 2)
+    turn_angle: np.ndarray  # Turn to the left (L - 1,) [rad]
+    turn_std: np.ndarray  # Its standard deviation (L - 1,) [rad]
+    stage: np.ndarray  # Rounds before each stage (k,); 0: as laid out along the compass headings
+    stage_places: np.ndarray  # Positions at each stage (k, N, 2) float32 [m]
+    stage_heading: np.ndarray  # Headings at each stage (k, N) float32 [rad]
+    stage_believed: np.ndarray  # Loop closures believed at each stage (k, n) bool
 
     @property
     def known(self) -> np.ndarray:

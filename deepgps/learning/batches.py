@@ -11,18 +11,12 @@ from deepgps.data.segments import Segments
 
 @dataclass(frozen=True)
 class Batch:
-    """The data of one training step.
+    """The data of one training step."""
 
-    Attributes:
-        index: Observations (B,) or, segment by segment, (S, m).
-        target: Positions (B, 2) [m], or distances along the segment (S, m) [m].
-        valid: Which entries exist, in the shape of ``index``.
-        variance: Expected squared error of each distance that grows with the distance [m^2]; None: not requested.
-    """
-
-    index: torch.Tensor
-    target: torch.Tensor
-    valid: torch.Tensor
+    index: torch.Tensor  # Observations (B,) or, segment by segment, (S, m)
+    target: torch.Tensor  # Positions (B, 2) [m], or distances along the segment (S, m) [m]
+    valid: torch.Tensor  # Which entries exist, in the shape of ``index``
+    # Expected squared error of each distance that grows with the distance [m^2]; None: not requested
     variance: torch.Tensor | None = None
 
 
@@ -69,8 +63,7 @@ class Inputs:
         return len(self.table)
 
 
-Draw = Callable[[torch.Generator, float], Batch]
-"""(generator, fraction of the steps done) -> batch of one step."""
+Draw = Callable[[torch.Generator, float], Batch]  # (generator, fraction of the steps done) -> batch of one step
 Loss = Callable[[torch.Tensor, Batch, torch.Tensor], torch.Tensor]
 """(predictions shaped like the batch's index plus outputs, batch, fraction of the steps done (0-dim)) -> scalar."""
 

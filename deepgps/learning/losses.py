@@ -16,15 +16,10 @@ from deepgps.learning.batches import Batch, Draw, Loss
 
 
 class Weights(NamedTuple):
-    """Weights of residuals; None: 1.
+    """Weights of residuals; None: 1."""
 
-    Attributes:
-        pairs: Weights of the distance between each two readings of a segment (S, m, m).
-        places: Weights of each reading's place along its line (S, m).
-    """
-
-    pairs: torch.Tensor | None = None
-    places: torch.Tensor | None = None
+    pairs: torch.Tensor | None = None  # Weights of the distance between each two readings of a segment (S, m, m)
+    places: torch.Tensor | None = None  # Weights of each reading's place along its line (S, m)
 
 
 def weigh_equally(batch: object) -> Weights:
@@ -131,8 +126,7 @@ def straight(
     return (away * weight).sum() / weight.sum().clamp_min(1.0)
 
 
-IMITATE = 0.2
-"""Fraction of the steps in which the network imitates the initial map, with decreasing weight."""
+IMITATE = 0.2  # Fraction of the steps in which the network imitates the initial map, with decreasing weight
 
 
 def imitate_first(loss: Loss, known: torch.Tensor, slack_m: float, weight: float = 1.0) -> Loss:

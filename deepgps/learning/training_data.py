@@ -30,23 +30,14 @@ FEATURES, TABLE, KEY = "features", "features.safetensors", "features.key"
 
 @dataclass(frozen=True)
 class TrainingData:
-    """A recording prepared for learning.
+    """A recording prepared for learning."""
 
-    Attributes:
-        segments: Weak constraints.
-        projection: The map from observations to features.
-        features: Features of the training observations (N, components).
-        inputs: The network's input, on the device.
-        observation: The training observations (N, ...), set upright if the camera leans.
-        upright: Sets images of a leaning camera upright; None: the method takes images as they are.
-    """
-
-    segments: Segments
-    projection: Features
-    features: torch.Tensor
-    inputs: Inputs
-    observation: np.ndarray
-    upright: Upright | None = None
+    segments: Segments  # Weak constraints
+    projection: Features  # The map from observations to features
+    features: torch.Tensor  # Features of the training observations (N, components)
+    inputs: Inputs  # The network's input, on the device
+    observation: np.ndarray  # The training observations (N, ...), set upright if the camera leans
+    upright: Upright | None = None  # Sets images of a leaning camera upright; None: the method takes images as they are
 
     @property
     def shape(self) -> tuple[int, ...]:

@@ -79,8 +79,7 @@ def fit_dead_reckoned(
     return fit_positions(data, torch.from_numpy(index), torch.from_numpy(place), settings, seed, folder, progress)
 
 
-NEIGHBOURS = 4
-"""Number of stored positions that are averaged."""
+NEIGHBOURS = 4  # Number of stored positions that are averaged
 
 
 def fit_knn(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
@@ -96,11 +95,9 @@ def fit_knn(recording: Recording, settings: LearnSettings, seed: int, folder: Pa
     return Fitted(positioner, training)
 
 
-FITTED = 50_000
-"""Approximate maximum number of scans from which the principal components are computed."""
+FITTED = 50_000  # Approximate maximum number of scans from which the principal components are computed
 CHUNK = 100
-COMPONENTS = 128
-"""Principal components of a scan, as in the paper."""
+COMPONENTS = 128  # Principal components of a scan, as in the paper
 
 
 def fit_pca_knn(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
@@ -159,8 +156,7 @@ def find_axes(scans: np.ndarray, turns: np.ndarray, components: int) -> tuple[np
     return np.asarray(found.mean_, np.float32), np.asarray(found.components_, np.float32)
 
 
-LABEL_NOISE_M = 0.01
-"""Standard deviation of a noisy label, in x and in y [m]."""
+LABEL_NOISE_M = 0.01  # Standard deviation of a noisy label, in x and in y [m]
 
 
 def fit_posenet(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:

@@ -91,21 +91,14 @@ class Variant:
 
 @dataclass(frozen=True)
 class Attempt:
-    """One training and its map.
+    """One training and its map."""
 
-    Attributes:
-        number: Its number, counted from 0.
-        positioner: The trained network.
-        score: How far its map is folded.
-        ambiguous: Observations that could be mirrored, as far as distances tell (N,) bool; none where turns tell.
-        seconds: Duration of the training.
-    """
-
-    number: int
-    positioner: NetworkPositioner
-    score: FoldScore
+    number: int  # Its number, counted from 0
+    positioner: NetworkPositioner  # The trained network
+    score: FoldScore  # How far its map is folded
+    # Observations that could be mirrored, as far as distances tell (N,) bool; none where turns tell
     ambiguous: np.ndarray
-    seconds: float
+    seconds: float  # Duration of the training
 
 
 def train_until_unfolded(

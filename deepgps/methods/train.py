@@ -70,8 +70,7 @@ def training_seed(scenario: Scenario) -> int:
 
 MIN_STEPS = 500
 """A process of its own pays for trainings of so many steps; a shorter one takes about as long as importing torch."""
-PERIOD_S = 1.0
-"""Interval at which a training's history is sent to the parent."""
+PERIOD_S = 1.0  # Interval at which a training's history is sent to the parent
 
 
 @dataclass(frozen=True)

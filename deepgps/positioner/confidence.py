@@ -18,33 +18,24 @@ from scipy.spatial import KDTree
 from deepgps.positioner.heading_fit import thin_out
 from deepgps.positioner.headings import find_nearest
 
-CELL_M = 0.05
-"""The table has one image for each square of the map with sides of this length [m]."""
-COMPONENTS = 64
-"""Features that are compared, the slowest; more tell no more."""
+CELL_M = 0.05  # The table has one image for each square of the map with sides of this length [m]
+COMPONENTS = 64  # Features that are compared, the slowest; more tell no more
 NEAREST, ALIKE = 16, 4
 """Entries around a predicted position with which an image is compared, and those most alike, which count."""
-LEVELS = (0.68, 0.95)
-"""Probabilities with which the radii hold the true position."""
-GROWTH = 3
-"""Power of the novelty with which radii grow where images are novel; measured, and alike in all rooms."""
+LEVELS = (0.68, 0.95)  # Probabilities with which the radii hold the true position
+GROWTH = 3  # Power of the novelty with which radii grow where images are novel; measured, and alike in all rooms
 CHUNK = 4096
 
 
 @dataclass(frozen=True)
 class Trust:
-    """What is known of the positions of B images.
+    """What is known of the positions of B images."""
 
-    Attributes:
-        novelty: Distance of each image's features to the most alike training features near its position, converted to
-            a distance on the map (B,) [m].
-        accepted: Whether the novelty is one that images of the drive have (B,) bool.
-        radius: Radii that hold the true position with the probabilities ``LEVELS`` (B, 2) [m]; NaN: unknown.
-    """
-
+    # Distance of each image's features to the most alike training features near its position, converted to a distance
+    # on the map (B,) [m]
     novelty: np.ndarray
-    accepted: np.ndarray
-    radius: np.ndarray
+    accepted: np.ndarray  # Whether the novelty is one that images of the drive have (B,) bool
+    radius: np.ndarray  # Radii that hold the true position with the probabilities ``LEVELS`` (B, 2) [m]; NaN: unknown
 
 
 ARRAYS = ("features", "scale", "place", "metres", "map_std")
@@ -56,31 +47,21 @@ class Confidence:
 
     A radius is ``sqrt((a + b novelty^GROWTH)^2 + (q s)^2)``, at most ``reach_m``: a, b by quantile regression, s the
     map's own standard deviation, q the quantile of the length of a standard normal vector in the plane.
-
-    Attributes:
-        features: The first components of their features, divided by ``scale`` (E, K) int8.
-        scale: Size of one step of each component (K,) float32.
-        place: Predicted positions (E, 2) float32 [m].
-        metres: Distance on the map between entries around each over their distance in features (E,) float32 [m].
-        map_std: Standard deviation of the map there, along one axis (E,) float32 [m]; 0 where none is known.
-        threshold_m: Largest novelty that is accepted [m].
-        usual_m: Novelty that most images of the drive would have if their own segments had not been driven [m]; larger
-            than ``threshold_m`` where the drive was too short for their positions to be known.
-        refused: Share of these images that would be refused.
-        slope: a [m] and b for each of ``LEVELS`` (2, 2); NaN: too few segments were held out to know.
-        reach_m: Largest distance between two places of the map.
     """
 
-    features: np.ndarray
-    scale: np.ndarray
-    place: np.ndarray
+    features: np.ndarray  # The first components of their features, divided by ``scale`` (E, K) int8
+    scale: np.ndarray  # Size of one step of each component (K,) float32
+    place: np.ndarray  # Predicted positions (E, 2) float32 [m]
+    # Distance on the map between entries around each over their distance in features (E,) float32 [m]
     metres: np.ndarray
-    map_std: np.ndarray
-    threshold_m: float
+    map_std: np.ndarray  # Standard deviation of the map there, along one axis (E,) float32 [m]; 0 where none is known
+    threshold_m: float  # Largest novelty that is accepted [m]
+    # Novelty that most images of the drive would have if their own segments had not been driven [m]; larger than
+    # ``threshold_m`` where the drive was too short for their positions to be known
     usual_m: float
-    refused: float
-    slope: np.ndarray
-    reach_m: float
+    refused: float  # Share of these images that would be refused
+    slope: np.ndarray  # a [m] and b for each of ``LEVELS`` (2, 2); NaN: too few segments were held out to know
+    reach_m: float  # Largest distance between two places of the map
 
     def find(self, features: np.ndarray, positions: np.ndarray) -> Trust:
         """How far to trust positions (B, 2) [m] of images with these features (B, at least K)."""

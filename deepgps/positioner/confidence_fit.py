@@ -26,10 +26,8 @@ from scipy.special import logit
 from deepgps.data.segments import Segments, find_held_out, find_owners, spread_evenly
 from deepgps.positioner.confidence import GROWTH, LEVELS, Confidence, make_table
 
-CLEARLY = 0.67
-"""Median distance across bars over that along them, below which the encoders err more than the network."""
-LEAST_READINGS = 4
-"""Readings that make a bar."""
+CLEARLY = 0.67  # Median distance across bars over that along them, below which the encoders err more than the network
+LEAST_READINGS = 4  # Readings that make a bar
 FAR, MOST_FITS, PRECISE_M = 3.5, 50, 1e-6
 """Residual that weighs a quarter, as a multiple of the median; steps of a fit, and the change at which it ends."""
 
@@ -99,8 +97,7 @@ def _fit_bars(segments: Segments, positions: np.ndarray, chosen: np.ndarray) -> 
         yield _Bar(index, along, across, bow, np.full(len(index), np.sqrt(1.0 - 2.0 / len(index))))
 
 
-REFUSED = 0.02
-"""Share of the training images that would be refused if their segments had not been driven."""
+REFUSED = 0.02  # Share of the training images that would be refused if their segments had not been driven
 FAR_M, SELDOM = 0.25, 0.1
 """An image that would be off by more than this [m] with more than this probability is refused as well."""
 FOLDS, RIDGE = 20, 1e-6
@@ -109,17 +106,11 @@ INTERPOLATED, AROUND, SMOOTHING = 2000, 64, 1e-3
 
 
 class LeftOut(NamedTuple):
-    """What is known of M training images without their own segments.
+    """What is known of M training images without their own segments."""
 
-    Attributes:
-        novelty: Their novelty at the position that the method predicts (M,) [m].
-        guessed: Novelty of those that are interpolated, at the interpolated position (I,) [m].
-        error: Distance between interpolated and predicted position (I,) [m].
-    """
-
-    novelty: np.ndarray
-    guessed: np.ndarray
-    error: np.ndarray
+    novelty: np.ndarray  # Their novelty at the position that the method predicts (M,) [m]
+    guessed: np.ndarray  # Novelty of those that are interpolated, at the interpolated position (I,) [m]
+    error: np.ndarray  # Distance between interpolated and predicted position (I,) [m]
 
 
 def leave_segments_out(segments: Segments, features: np.ndarray, positions: np.ndarray) -> LeftOut | None:
@@ -194,8 +185,7 @@ def _split(segments: Segments, observations: int) -> Iterator[tuple[np.ndarray, 
 
 
 COMPARED = 500
-LEAST_ERRORS, MOST_ERRORS = 20, 4000
-"""Errors from which radii are calibrated; with fewer they stay unknown."""
+LEAST_ERRORS, MOST_ERRORS = 20, 4000  # Errors from which radii are calibrated; with fewer they stay unknown
 
 
 def make_confidence(

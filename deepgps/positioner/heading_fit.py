@@ -14,33 +14,24 @@ from deepgps.positioner.headings import HeadingTable, correlate, find_nearest, t
 from sim.geometry import wrap
 from sim.recording.format import Recording
 
-CELL_M = 0.1
-"""The table has one image for each square of the map with sides of this length [m]."""
+CELL_M = 0.1  # The table has one image for each square of the map with sides of this length [m]
 AROUND, REACH_M = 16, 0.25
 """Training images around an entry from which its heading is refined, and the farthest of them [m]."""
-LEAST_M = 0.005
-"""Least error that is taken for a predicted position [m]."""
+LEAST_M = 0.005  # Least error that is taken for a predicted position [m]
 PARALLAX_RAD_PER_M, MATCH_RAD = np.radians(20.0), np.radians(0.3)
 """Usual size of the parallax [rad / m], and least error of an angle between two images [rad]."""
-MOST_RAD = np.radians(10.0)
-"""Images whose heading is known worse than this do not come into the table [rad]."""
-CHECKED = 512
-"""Training images by which the standard deviation is scaled."""
+MOST_RAD = np.radians(10.0)  # Images whose heading is known worse than this do not come into the table [rad]
+CHECKED = 512  # Training images by which the standard deviation is scaled
 CHUNK = 256
 
 
 @dataclass(frozen=True)
 class Lines:
-    """What the straight segments of a drive tell of its N images; NaN where they tell nothing.
+    """What the straight segments of a drive tell of its N images; NaN where they tell nothing."""
 
-    Attributes:
-        heading: Heading in the map (N,) [rad].
-        std: Its standard deviation (N,) [rad].
-        residual_m: RMS distance of the segment's predictions from a straight line with the distances driven (N,) [m].
-    """
-
-    heading: np.ndarray
-    std: np.ndarray
+    heading: np.ndarray  # Heading in the map (N,) [rad]
+    std: np.ndarray  # Its standard deviation (N,) [rad]
+    # RMS distance of the segment's predictions from a straight line with the distances driven (N,) [m]
     residual_m: np.ndarray
 
 

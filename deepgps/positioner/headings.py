@@ -19,35 +19,26 @@ from sim.geometry import wrap
 from sim.sensors.compass import LEAST_CONTRAST, MATCH_FLOOR, find_highest
 from sim.sensors.compass_fit import CUTOFF, SMOOTH
 
-RINGS, FREQUENCIES = 8, 32
-"""Rings that the table keeps, each the mean of some of the image's, and cycles per turn."""
-FINE = 512
-"""Samples of the correlation in a turn."""
+RINGS, FREQUENCIES = 8, 32  # Rings that the table keeps, each the mean of some of the image's, and cycles per turn
+FINE = 512  # Samples of the correlation in a turn
 NEAREST, ALIKE = 6, 4
 """Entries that an image is compared with: nearest to its position, and most alike, in case the position is wrong."""
-FARTHEST_M = 0.2
-"""Distance beyond which the parallax between two places no longer grows as fitted [m]."""
+FARTHEST_M = 0.2  # Distance beyond which the parallax between two places no longer grows as fitted [m]
 TOGETHER_RAD, APART_RAD = np.radians(5.0), np.radians(15.0)
 """Angles of one hypothesis are within the first of its mode; another hypothesis is at least the second away [rad]."""
 SCALE_RAD, FLOOR_RAD = np.radians(1.0), np.radians(0.05)
 """Scale of the Cauchy weights with which angles are averaged, and their least spread [rad]."""
-LEAST_WEIGHT = 0.05
-"""A second hypothesis with a smaller weight is left out."""
+LEAST_WEIGHT = 0.05  # A second hypothesis with a smaller weight is left out
 CHUNK = 64
 
 
 @dataclass(frozen=True)
 class Yaws:
-    """Hypotheses of the yaw of B images in the method's frame, the likelier first; NaN where there is none.
+    """Hypotheses of the yaw of B images in the method's frame, the likelier first; NaN where there is none."""
 
-    Attributes:
-        yaw: Yaw (B, 2) [rad].
-        std: Its standard deviation (B, 2) [rad].
-        weight: Share of the entries that agree on each (B, 2): a pair adds up to 1 where no entry disagrees with both.
-    """
-
-    yaw: np.ndarray
-    std: np.ndarray
+    yaw: np.ndarray  # Yaw (B, 2) [rad]
+    std: np.ndarray  # Its standard deviation (B, 2) [rad]
+    # Share of the entries that agree on each (B, 2): a pair adds up to 1 where no entry disagrees with both
     weight: np.ndarray
 
 
@@ -56,26 +47,17 @@ ARRAYS = ("spectrum", "place", "heading", "parallax", "position_std")
 
 @dataclass(frozen=True)
 class HeadingTable:
-    """Ring phases of E training images that cover the map evenly.
+    """Ring phases of E training images that cover the map evenly."""
 
-    Attributes:
-        spectrum: Fourier coefficients (E, rings * channels, frequencies, 2) int8, of any scale.
-        place: Predicted positions (E, 2) [m].
-        heading: Headings in the map (E,) [rad].
-        parallax: Change of the correlation's angle with the place of the other image (E, 2) [rad / m].
-        position_std: RMS distance of predictions near by from the straight line on which they were driven, along one
-            axis (E,) [m]: what a method knows of its errors without truth, and less than they are.
-        chirality: 1; -1 where the map is mirrored, so that a turn to the left is one to the right in the map.
-        std_factor: Standard deviation of a yaw over the spread of the angles that it is the mean of.
-    """
-
-    spectrum: np.ndarray
-    place: np.ndarray
-    heading: np.ndarray
-    parallax: np.ndarray
+    spectrum: np.ndarray  # Fourier coefficients (E, rings * channels, frequencies, 2) int8, of any scale
+    place: np.ndarray  # Predicted positions (E, 2) [m]
+    heading: np.ndarray  # Headings in the map (E,) [rad]
+    parallax: np.ndarray  # Change of the correlation's angle with the place of the other image (E, 2) [rad / m]
+    # RMS distance of predictions near by from the straight line on which they were driven, along one axis (E,) [m]:
+    # what a method knows of its errors without truth, and less than they are
     position_std: np.ndarray
-    chirality: int
-    std_factor: float
+    chirality: int  # 1; -1 where the map is mirrored, so that a turn to the left is one to the right in the map
+    std_factor: float  # Standard deviation of a yaw over the spread of the angles that it is the mean of
 
     def find(self, images: np.ndarray, positions: np.ndarray) -> Yaws:
         """Yaw of polar images (B, rings, sectors, channels) taken at predicted positions (B, 2) [m]."""

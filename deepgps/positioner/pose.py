@@ -14,35 +14,27 @@ class Poses:
 
     Only methods on polar images tell more than a position. The yaw is NaN where an image shows no direction, and the
     other yaw is NaN where the image leaves no second hypothesis.
-
-    Attributes:
-        position: Positions x, y (B, 2) [m].
-        position_std: Standard deviation along each axis (B,) [m]: how far the training images near by are from the
-            straight lines driven. It knows nothing of places that look alike. None: unknown.
-        yaw: Counter-clockwise from x (B,) [rad]; None: the method gives no yaw.
-        yaw_std: Its standard deviation if the hypothesis is right (B,) [rad]; None like ``yaw``.
-        yaw_weight: Share of the stored images near by and of those most alike that agree on the yaw (B,); low where a
-            place is new or looks like another. None like ``yaw``.
-        other_yaw: Second hypothesis of the yaw (B,) [rad]; None like ``yaw``.
-        other_weight: Its share (B,), 0 where there is none; None like ``yaw``.
-        novelty: How unlike the training images near by each image is, as a distance on the map (B,) [m]; None: the
-            method does not say.
-        radius_68: Radius of the circle that holds the true position with a probability of 68 % (B,) [m]; None: unknown.
-        radius_95: The same for 95 % (B,) [m]; None: unknown.
-        accepted: Whether the novelty is one that images of the drive have (B,) bool; positions of the others should not
-            be used. None: the method accepts all.
     """
 
-    position: np.ndarray
+    position: np.ndarray  # Positions x, y (B, 2) [m]
+    # Standard deviation along each axis (B,) [m]: how far the training images near by are from the straight lines
+    # driven. It knows nothing of places that look alike. None: unknown
     position_std: np.ndarray | None = None
-    yaw: np.ndarray | None = None
-    yaw_std: np.ndarray | None = None
+    yaw: np.ndarray | None = None  # Counter-clockwise from x (B,) [rad]; None: the method gives no yaw
+    yaw_std: np.ndarray | None = None  # Its standard deviation if the hypothesis is right (B,) [rad]; None like ``yaw``
+    # Share of the stored images near by and of those most alike that agree on the yaw (B,); low where a place is new
+    # or looks like another. None like ``yaw``
     yaw_weight: np.ndarray | None = None
-    other_yaw: np.ndarray | None = None
-    other_weight: np.ndarray | None = None
+    other_yaw: np.ndarray | None = None  # Second hypothesis of the yaw (B,) [rad]; None like ``yaw``
+    other_weight: np.ndarray | None = None  # Its share (B,), 0 where there is none; None like ``yaw``
+    # How unlike the training images near by each image is, as a distance on the map (B,) [m]; None: the method does
+    # not say
     novelty: np.ndarray | None = None
+    # Radius of the circle that holds the true position with a probability of 68 % (B,) [m]; None: unknown
     radius_68: np.ndarray | None = None
-    radius_95: np.ndarray | None = None
+    radius_95: np.ndarray | None = None  # The same for 95 % (B,) [m]; None: unknown
+    # Whether the novelty is one that images of the drive have (B,) bool; positions of the others should not be used.
+    # None: the method accepts all
     accepted: np.ndarray | None = None
 
     def align(self, alignment: Alignment) -> "Poses":

@@ -38,16 +38,11 @@ class Packed(NamedTuple):
 
 
 class Positioner(ABC):
-    """A trained method as a map from observations to positions.
+    """A trained method as a map from observations to positions."""
 
-    Attributes:
-        kind: Name of the class in ``positioner.json``.
-        headings: Table from which yaw is found; None: it gives positions alone.
-        confidence: Table from which novelty and radii are found; None: positions are given without.
-    """
-
-    kind: ClassVar[str]
-    headings: HeadingTable | None = None
+    kind: ClassVar[str]  # Name of the class in ``positioner.json``
+    headings: HeadingTable | None = None  # Table from which yaw is found; None: it gives positions alone
+    # Table from which novelty and radii are found; None: positions are given without
     confidence: Confidence | None = None
 
     @abstractmethod
@@ -70,14 +65,11 @@ class Positioner(ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class FeaturePositioner(Positioner):
-    """One that compares features of observations, and so may know yaw, novelty and radii.
-
-    Attributes:
-        upright: Sets images of a leaning camera upright before all else; None: images are taken as they are.
-    """
+    """One that compares features of observations, and so may know yaw, novelty and radii."""
 
     headings: HeadingTable | None = None
     confidence: Confidence | None = None
+    # Sets images of a leaning camera upright before all else; None: images are taken as they are
     upright: Upright | None = None
 
     @abstractmethod
@@ -117,29 +109,20 @@ def unpack_features(packed: Packed, name: str = "features") -> Features:
 
 @dataclass(frozen=True)
 class NetworkPositioner(FeaturePositioner):
-    """Positions by a trained network.
-
-    Attributes:
-        shape: Shape of one observation.
-        features: The map from observations to the network's input; none: the network takes images.
-        settings: Settings of the network.
-        network: The trained network, in evaluation mode, on any device; all else is on the CPU.
-        centre: Origin of the plane in the network's output space (D,) [m].
-        axes: Axes of the plane (D, 2).
-        mount: Camera ahead of the axle and to its left [m]. Positions are the axle's if a yaw is found and this is not
-            zero, else the camera's.
-        likeness: The map from observations to the features that are compared, of a network that takes images.
-    """
+    """Positions by a trained network."""
 
     kind = "network"
 
-    shape: tuple[int, ...]
-    features: Features | None
-    settings: NetworkSettings
-    network: nn.Module
-    centre: torch.Tensor
-    axes: torch.Tensor
+    shape: tuple[int, ...]  # Shape of one observation
+    features: Features | None  # The map from observations to the network's input; none: the network takes images
+    settings: NetworkSettings  # Settings of the network
+    network: nn.Module  # The trained network, in evaluation mode, on any device; all else is on the CPU
+    centre: torch.Tensor  # Origin of the plane in the network's output space (D,) [m]
+    axes: torch.Tensor  # Axes of the plane (D, 2)
+    # Camera ahead of the axle and to its left [m]. Positions are the axle's if a yaw is found and this is not zero,
+    # else the camera's
     mount: tuple[float, float] = (0.0, 0.0)
+    # The map from observations to the features that are compared, of a network that takes images
     likeness: Features | None = None
 
     def __call__(self, observations: np.ndarray) -> np.ndarray:
@@ -230,21 +213,14 @@ class NetworkPositioner(FeaturePositioner):
 
 @dataclass(frozen=True)
 class NeighbourPositioner(FeaturePositioner):
-    """Positions by the nearest training observations in feature space, averaged with weights 1 / distance squared.
-
-    Attributes:
-        features: The map from observations to features.
-        known: Features of the training observations (N, components).
-        places: Their positions (N, 2) float64 [m].
-        neighbours: Number of neighbours that are averaged.
-    """
+    """Positions by the nearest training observations in feature space, averaged with weights 1 / distance squared."""
 
     kind = "neighbours"
 
-    features: Features
-    known: torch.Tensor
-    places: torch.Tensor
-    neighbours: int
+    features: Features  # The map from observations to features
+    known: torch.Tensor  # Features of the training observations (N, components)
+    places: torch.Tensor  # Their positions (N, 2) float64 [m]
+    neighbours: int  # Number of neighbours that are averaged
 
     def __call__(self, observations: np.ndarray) -> np.ndarray:
         return self.locate_with_features(observations)[0]

@@ -22,23 +22,15 @@ NAMES = ("mean", "axes", "known", "places")
 
 @dataclass(frozen=True)
 class ScanPositioner(Positioner):
-    """Positions by the nearest stored scan, in principal components.
-
-    Attributes:
-        mean: Mean scan (rays,) [m].
-        axes: Principal axes (components, rays).
-        known: Stored scans (N headings, components) float32, with those of one position adjacent.
-        places: Their positions (N, 2) float64 [m].
-        turns: Number of scans stored for each position.
-    """
+    """Positions by the nearest stored scan, in principal components."""
 
     kind = "scans"
 
-    mean: np.ndarray
-    axes: np.ndarray
-    known: np.ndarray
-    places: np.ndarray
-    turns: int
+    mean: np.ndarray  # Mean scan (rays,) [m]
+    axes: np.ndarray  # Principal axes (components, rays)
+    known: np.ndarray  # Stored scans (N headings, components) float32, with those of one position adjacent
+    places: np.ndarray  # Their positions (N, 2) float64 [m]
+    turns: int  # Number of scans stored for each position
 
     def __call__(self, observations: np.ndarray) -> np.ndarray:
         from sklearn.metrics import pairwise_distances_argmin
@@ -68,17 +60,12 @@ class ScanPositioner(Positioner):
 
 @dataclass(frozen=True)
 class ArrayPositioner(Positioner):
-    """Positions by a plugin's method from the arrays that it has learned.
-
-    Attributes:
-        method: Name of the method, whose plugin must be loaded.
-        arrays: What it has learned, by name.
-    """
+    """Positions by a plugin's method from the arrays that it has learned."""
 
     kind = "arrays"
 
-    method: str
-    arrays: Mapping[str, np.ndarray]
+    method: str  # Name of the method, whose plugin must be loaded
+    arrays: Mapping[str, np.ndarray]  # What it has learned, by name
 
     def __call__(self, observations: np.ndarray) -> np.ndarray:
         method = find_method(self.method)
@@ -104,17 +91,12 @@ DAMPING = 1e-12
 
 @dataclass(frozen=True)
 class LandmarkPositioner(Positioner):
-    """Positions by trilateration from landmarks.
-
-    Attributes:
-        landmark: Positions of the landmarks (M, 2) float64 [m].
-        reach_m: A distance of this or more only means that a landmark is not seen [m]; infinite: all are seen.
-    """
+    """Positions by trilateration from landmarks."""
 
     kind = "landmarks"
 
-    landmark: np.ndarray
-    reach_m: float
+    landmark: np.ndarray  # Positions of the landmarks (M, 2) float64 [m]
+    reach_m: float  # A distance of this or more only means that a landmark is not seen [m]; infinite: all are seen
 
     def __call__(self, observations: np.ndarray) -> np.ndarray:
         check_shape(observations, (len(self.landmark),))

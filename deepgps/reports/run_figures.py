@@ -21,10 +21,8 @@ from sim.files.checksums import read_arrays
 from sim.geometry import FreeSpace, limits
 from sim.recording.format import Truth, open_recording, open_truth
 
-NOTE_IN = 0.4
-"""Height of the note below error fields [inch]."""
-TALLEST = 4.0
-"""Largest height of a figure's floor over its width; matplotlib draws no picture of 65,536 px."""
+NOTE_IN = 0.4  # Height of the note below error fields [inch]
+TALLEST = 4.0  # Largest height of a figure's floor over its width; matplotlib draws no picture of 65,536 px
 DRIVE_COLOURS = LinearSegmentedColormap.from_list("drive", ["#3f78ff", "#c86bff", "#ff8a5c", "#ffe36e"])
 
 
@@ -188,8 +186,7 @@ def _rank(name: str) -> tuple[int, str]:
     return (names.index(name) if name in names else len(names), name)
 
 
-LARGEST_SHARE = REFUSED[-1]
-"""Share refused at the end of the axis, as in the table of ``metrics.json``."""
+LARGEST_SHARE = REFUSED[-1]  # Share refused at the end of the axis, as in the table of ``metrics.json``
 
 
 def draw_risk(fields: Mapping[str, ErrorField]) -> Figure:

@@ -31,8 +31,7 @@ COLUMNS: tuple[Column, ...] = (
     ("align", "alignment", str),
     ("train [s]", "train_s", lambda value: f"{value:.1f}"),
 )
-VISIBLE_DEG = 0.1
-"""Smallest lean of the camera that is reported [deg]."""
+VISIBLE_DEG = 0.1  # Smallest lean of the camera that is reported [deg]
 OVERVIEW = tuple(column for column in COLUMNS if column[1] in {"rms_m", "median_m", "max_m", "relative_rms"})
 
 
@@ -239,15 +238,12 @@ def _plain(value: Any) -> str:
     return str(value)
 
 
-SCALE_LIMITS = (0.9, 1.1)
-"""Scales of a map beyond these are no error of the encoders."""
-LARGEST_RELATIVE_RMS = 0.1
-"""RMS, as a fraction of the room's shorter side, from which a map is of no use."""
+SCALE_LIMITS = (0.9, 1.1)  # Scales of a map beyond these are no error of the encoders
+LARGEST_RELATIVE_RMS = 0.1  # RMS, as a fraction of the room's shorter side, from which a map is of no use
 LARGEST_TURNED = 0.03
 """Part of the way that may be mirrored or turned in a right map: images taken for a place that looks alike. In twenty
 worlds of corridors and labyrinths it was at most 1.4 % in right maps by distances alone, 4 to 55 % in wrong ones."""
-LEAST_SEEN = 0.9
-"""Fraction of the test positions near a training observation below which the drive is too short."""
+LEAST_SEEN = 0.9  # Fraction of the test positions near a training observation below which the drive is too short
 TRY_OUT = "This is a small run that shows the way only; its errors have no meaning."
 
 

@@ -8,8 +8,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-Column = tuple[str, str, Callable[[Any], str]]
-"""Heading of a column, key of its figures, and how one is written."""
+Column = tuple[str, str, Callable[[Any], str]]  # Heading of a column, key of its figures, and how one is written
 
 
 def write_hundredths(value: float) -> str:

@@ -7,8 +7,7 @@ import numpy as np
 
 from deepgps.reports.table import tabulate
 
-LEVEL, LEAST_VALUES, RESAMPLES = 0.95, 5, 9999
-"""Of intervals; with fewer values than this, a figure has none."""
+LEVEL, LEAST_VALUES, RESAMPLES = 0.95, 5, 9999  # Of intervals; with fewer values than this, a figure has none
 
 # unit -> factor, digits, suffix
 FORMS = {
@@ -25,29 +24,19 @@ SHARES = (
     *("radius_68_holds", "radius_95_holds", "grid_68", "grid_95", "use_68", "use_95", "within_2_cm", "within_5_cm"),
     *("refused", "large_refused", "images", "right_share", "interval_holds", "holds_with_fault", "map_too_large"),
 )
-UNITS = {"distance_m": "m", **dict.fromkeys(SHARES, "%")}
-"""Units of columns that their ends do not tell."""
+UNITS = {"distance_m": "m", **dict.fromkeys(SHARES, "%")}  # Units of columns that their ends do not tell
 
 
 @dataclass(frozen=True)
 class Figure:
-    """One figure that may have a target.
+    """One figure that may have a target."""
 
-    Attributes:
-        title: What it measures.
-        value: Its value in metres, in seconds or as a ratio; none: there was nothing to compute it from.
-        unit: The unit in which it is written, one of ``FORMS``.
-        at_least: Whether a target is a minimum rather than a maximum.
-        worst: The worst of the values behind it, where meaningful.
-        interval: Its 95 % interval, where there are enough values behind it.
-    """
-
-    title: str
-    value: float | None
-    unit: str
-    at_least: bool = False
-    worst: float | None = None
-    interval: tuple[float, float] | None = None
+    title: str  # What it measures
+    value: float | None  # Its value in metres, in seconds or as a ratio; none: there was nothing to compute it from
+    unit: str  # The unit in which it is written, one of ``FORMS``
+    at_least: bool = False  # Whether a target is a minimum rather than a maximum
+    worst: float | None = None  # The worst of the values behind it, where meaningful
+    interval: tuple[float, float] | None = None  # Its 95 % interval, where there are enough values behind it
 
 
 def mean_of(title: str, values: Sequence[float], unit: str, at_least: bool = False) -> Figure:

@@ -14,19 +14,12 @@ from sim.sensors.compass import LEAST_CONTRAST, MATCH_FLOOR
 
 
 class FoundYaw(NamedTuple):
-    """Hypotheses of the yaw of B images, the likelier first, and the standard deviation of their positions.
+    """Hypotheses of the yaw of B images, the likelier first, and the standard deviation of their positions."""
 
-    Attributes:
-        yaw: Yaw (B, 2) [rad], NaN where there is none.
-        std: Its standard deviation (B, 2) [rad].
-        weight: Share of the entries that agree on each (B, 2).
-        position_std: Standard deviation of the position along one axis (B,) [m].
-    """
-
-    yaw: torch.Tensor
-    std: torch.Tensor
-    weight: torch.Tensor
-    position_std: torch.Tensor
+    yaw: torch.Tensor  # Yaw (B, 2) [rad], NaN where there is none
+    std: torch.Tensor  # Its standard deviation (B, 2) [rad]
+    weight: torch.Tensor  # Share of the entries that agree on each (B, 2)
+    position_std: torch.Tensor  # Standard deviation of the position along one axis (B,) [m]
 
 
 class YawModule(nn.Module):

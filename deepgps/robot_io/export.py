@@ -28,8 +28,7 @@ FILES = re.compile(
     rf"({'|'.join(WRITE)})/(training|use)/\w+\.({'|'.join(WRITE)})|mcap/(training|use)\.mcap|onnx/(model\.onnx|meta\.json|tables\.npz|example\.py)|export\.json"
 )
 EXPORT = Kind("export", "onnx/model.onnx", lambda: FILES)
-ABOUT = "export.json"
-"""The file that says which run is exported."""
+ABOUT = "export.json"  # The file that says which run is exported
 
 
 def default_folder(run: Path) -> Path:
@@ -106,8 +105,7 @@ def _claim(run: Run, folder: Path) -> Iterator[None]:
 
 
 MODEL, META, TABLES, EXAMPLE = "model.onnx", "meta.json", "tables.npz", "example.py"
-MOST_BYTES = 20_000_000
-"""Largest folder that is written."""
+MOST_BYTES = 20_000_000  # Largest folder that is written
 OUTPUTS = {
     "position": "x, y of the robot [m]",
     "position_std": "standard deviation of the position along one axis by the map alone [m]",

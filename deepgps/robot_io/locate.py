@@ -25,45 +25,28 @@ from sim.sensors.camera.unwrap import RoundImage
 
 Unwrap = Callable[[np.ndarray], np.ndarray]
 """Makes a polar image (rings, sectors, 3) of what the camera gives (height, width, 3), both uint8 RGB."""
-Step = Callable[[str, Poses], Poses]
-"""(name of an image, its own pose in the map) -> its pose by all images so far."""
+Step = Callable[[str, Poses], Poses]  # (name of an image, its own pose in the map) -> its pose by all images so far
 
 
 class Located(NamedTuple):
-    """An image and what was found.
+    """An image and what was found."""
 
-    Attributes:
-        picture: The image; its error says why nothing was found.
-        polar: Its polar image; None like ``pose``.
-        pose: Its pose; None: nothing was found.
-        cause: Name of the cause for which it is refused or suspicious; empty: none. None: nobody asks.
-    """
-
-    picture: Picture
-    polar: np.ndarray | None = None
-    pose: Poses | None = None
-    cause: str | None = None
+    picture: Picture  # The image; its error says why nothing was found
+    polar: np.ndarray | None = None  # Its polar image; None like ``pose``
+    pose: Poses | None = None  # Its pose; None: nothing was found
+    cause: str | None = None  # Name of the cause for which it is refused or suspicious; empty: none. None: nobody asks
 
 
 @dataclass(frozen=True)
 class Wish:
-    """How images are located.
+    """How images are located."""
 
-    Attributes:
-        method: The method; None: the first of the run.
-        frame: Frame of the poses.
-        circle: Where the image circle is in raw images; None: it fills them.
-        config: The robot.yaml of a log; None: the source is no log.
-        track: Whether the robot is tracked, by a log's wheels.
-        causes: Whether causes are named for which images are refused or suspicious.
-    """
-
-    method: str | None
-    frame: Frame
-    circle: RoundImage | None = None
-    config: Path | None = None
-    track: bool = False
-    causes: bool = False
+    method: str | None  # The method; None: the first of the run
+    frame: Frame  # Frame of the poses
+    circle: RoundImage | None = None  # Where the image circle is in raw images; None: it fills them
+    config: Path | None = None  # The robot.yaml of a log; None: the source is no log
+    track: bool = False  # Whether the robot is tracked, by a log's wheels
+    causes: bool = False  # Whether causes are named for which images are refused or suspicious
 
 
 def locate(
@@ -190,12 +173,10 @@ def make_tracker(run: Run, method: str | None) -> "Tracker":
     return Tracker(headings.chirality < 0)
 
 
-WAY, STILL_M = 0.01, 0.001
-"""Standard deviation of the way between two images, as a part of it and at least [m]."""
+WAY, STILL_M = 0.01, 0.001  # Standard deviation of the way between two images, as a part of it and at least [m]
 AT_REST_M, AT_REST_RAD = 1e-4, 1e-3
 """Way and turn between two images up to which the robot rests, so that they share all their errors [m], [rad]."""
-SLIP, STILL_RAD = 0.1, 0.01
-"""Standard deviation of the turn between two images, as a part of it and at least [rad]."""
+SLIP, STILL_RAD = 0.1, 0.01  # Standard deviation of the turn between two images, as a part of it and at least [rad]
 
 
 class Tracker:

@@ -27,10 +27,8 @@ from sim.sensors.camera.unwrap import RoundImage, draw_polar
 
 SUFFIXES = (".bmp", ".jpeg", ".jpg", ".png", ".ppm", ".tif", ".tiff", ".webp")
 LOGS = (".bag", ".db3", ".mcap")
-LARGEST_BYTES = 100_000_000
-"""Largest encoded image that is read."""
-STDIN = "-"
-"""Name of standard input as a source."""
+LARGEST_BYTES = 100_000_000  # Largest encoded image that is read
+STDIN = "-"  # Name of standard input as a source
 
 
 class Unwrapper:
@@ -75,19 +73,12 @@ def _find_points(circle: RoundImage, rings: int, sectors: int) -> tuple[np.ndarr
 
 
 class Picture(NamedTuple):
-    """One image of a source.
+    """One image of a source."""
 
-    Attributes:
-        name: Its file, or its number from 0.
-        image: The image (height, width, 3) uint8 RGB; None: it cannot be read.
-        error: Why not.
-        time_s: When it was taken [s]; None: unknown.
-    """
-
-    name: str
-    image: np.ndarray | None
-    error: str | None = None
-    time_s: float | None = None
+    name: str  # Its file, or its number from 0
+    image: np.ndarray | None  # The image (height, width, 3) uint8 RGB; None: it cannot be read
+    error: str | None = None  # Why not
+    time_s: float | None = None  # When it was taken [s]; None: unknown
 
 
 def open_pictures(source: str, stdin: BinaryIO) -> Iterator[Picture]:
@@ -158,16 +149,11 @@ NS = 1e-9
 
 @dataclass(frozen=True)
 class LogSource:
-    """A log that is read.
+    """A log that is read."""
 
-    Attributes:
-        polar: What makes polar images of its images.
-        listed: Times of the images.
-        odometry: Distance and heading by the wheels at each image, NaN where they are not known; None: not asked for.
-    """
-
-    polar: PolarSource
-    listed: ImageList
+    polar: PolarSource  # What makes polar images of its images
+    listed: ImageList  # Times of the images
+    # Distance and heading by the wheels at each image, NaN where they are not known; None: not asked for
     odometry: Odometry | None
 
     def read(self) -> Iterator[Picture]:

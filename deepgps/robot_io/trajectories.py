@@ -59,21 +59,13 @@ SIGMA_PER_RADIUS = 1.0 / find_normal_radius(0.68)
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Poses along a drive.
+    """Poses along a drive."""
 
-    Attributes:
-        drive: Name of the drive.
-        name: Name of the method, or ``TRUTH``.
-        time_s: Time of each pose (n,) [s], never falling, from the beginning of the recording.
-        poses: The poses.
-        start_s: When the recording began [s since 1970]; 0 unless it is of a robot's log.
-    """
-
-    drive: str
-    name: str
-    time_s: np.ndarray
-    poses: Poses
-    start_s: float = 0.0
+    drive: str  # Name of the drive
+    name: str  # Name of the method, or ``TRUTH``
+    time_s: np.ndarray  # Time of each pose (n,) [s], never falling, from the beginning of the recording
+    poses: Poses  # The poses
+    start_s: float = 0.0  # When the recording began [s since 1970]; 0 unless it is of a robot's log
 
 
 def write_trajectories(folder: Path, trajectories: Sequence[Trajectory], formats: Sequence[Format]) -> None:

@@ -16,23 +16,17 @@ from sim.files.atomic import list_files, lock, remove_empty, remove_files
 from sim.files.checksums import read_json, write_json
 
 MARK = ".deepgps"
-FRESH = ".deepgps-fresh"
-"""Folder within an owned folder in which ``--fresh`` builds what will replace the rest."""
+FRESH = ".deepgps-fresh"  # Folder within an owned folder in which ``--fresh`` builds what will replace the rest
 COMPLETE = "complete.json"
 
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of folder.
+    """A kind of folder."""
 
-    Attributes:
-        name: Name of the kind in the mark and in messages.
-        first: The file that is written first.
-        find_files: Returns the pattern of the paths, within the folder, of all files that deepgps writes.
-    """
-
-    name: str
-    first: str
+    name: str  # Name of the kind in the mark and in messages
+    first: str  # The file that is written first
+    # Returns the pattern of the paths, within the folder, of all files that deepgps writes
     find_files: Callable[[], re.Pattern[str]]
 
     @property

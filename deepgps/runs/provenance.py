@@ -15,13 +15,10 @@ from sim.files.checksums import read_json, write_json
 from sim.processes import usable_cores
 from sim.recording.format import read_manifest
 
-ROOT = Path(__file__).parents[2]
-"""Where the package lies: the root of a clone, or the packages of an installation."""
-NAMED = ("mujoco", "torch", "numpy")
-"""Packages that a study's report names."""
+ROOT = Path(__file__).parents[2]  # Where the package lies: the root of a clone, or the packages of an installation
+NAMED = ("mujoco", "torch", "numpy")  # Packages that a study's report names
 PACKAGES = ("deepgps", "mujoco", "torch", "numpy", "opencv-python-headless", "rerun-sdk")
-TIMED = ("collect", "train", "evaluate")
-"""The stages whose seconds ``metrics.json`` holds."""
+TIMED = ("collect", "train", "evaluate")  # The stages whose seconds ``metrics.json`` holds
 
 log = logging.getLogger(__name__)
 

@@ -20,10 +20,8 @@ from sim.recording.derive import choose_drive, explain_misfit, has_same_training
 from sim.recording.format import RECORDING, check_recording
 from sim.recording.manifest import PACKAGES
 
-STORE = "drives"
-"""Folder of the store in ``runs``."""
-STORED = re.compile(rf"[0-9a-f]{{8}}/[0-9a-f]{{8}}/({RECORDING.pattern})")
-"""Paths of the files in a store."""
+STORE = "drives"  # Folder of the store in ``runs``
+STORED = re.compile(rf"[0-9a-f]{{8}}/[0-9a-f]{{8}}/({RECORDING.pattern})")  # Paths of the files in a store
 log = logging.getLogger(__name__)
 
 

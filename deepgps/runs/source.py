@@ -27,17 +27,11 @@ DEFAULT_METHODS = ("deepgps",)
 
 @dataclass(frozen=True)
 class Source:
-    """What a command works on.
+    """What a command works on."""
 
-    Attributes:
-        scenario: The scenario of the run.
-        folder: The run's folder.
-        recording: The recording to train on, if it is not the run's own.
-    """
-
-    scenario: Scenario
-    folder: Path
-    recording: Path | None = None
+    scenario: Scenario  # The scenario of the run
+    folder: Path  # The run's folder
+    recording: Path | None = None  # The recording to train on, if it is not the run's own
 
 
 def find_source(

@@ -25,10 +25,8 @@ from sim.errors import InputError, shorten
 from sim.files import SCENARIOS
 
 MOST_RUNS = 10_000
-MOST_WRONG = 500
-"""Number of invalid runs after which planning stops."""
-STRIDE = 100
-"""Runs planned between two progress reports."""
+MOST_WRONG = 500  # Number of invalid runs after which planning stops
+STRIDE = 100  # Runs planned between two progress reports
 
 
 def plan_runs(study: Study, progress: Report = ignore) -> list[Plan]:

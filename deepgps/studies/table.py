@@ -15,8 +15,7 @@ from sim.files.atomic import write_bytes
 from sim.files.checksums import drop_sum, write_sum
 
 Row = dict[str, Any]
-Point = dict[str, Any]
-"""Settings of a run by dotted name."""
+Point = dict[str, Any]  # Settings of a run by dotted name
 # figures of a method, by their names in metrics.json
 FIGURES = (
     *("rms_m", "median_m", "p75_m", "p95_m", "max_m", "relative_rms", "heading_spread_m"),
@@ -27,25 +26,17 @@ FIGURES = (
 )
 # figures of a map by compass
 MAP_FIGURES = ("rms_m", "expected_rms_m", "nees", "flipped_m2")
-LEVELS = (68, 95)
-"""Probabilities with which the radii of images hold the true position [%]."""
+LEVELS = (68, 95)  # Probabilities with which the radii of images hold the true position [%]
 
 
 @dataclass(frozen=True)
 class Plan:
-    """One run of a study.
+    """One run of a study."""
 
-    Attributes:
-        scenario: The scenario to run.
-        varied: Settings that distinguish the run from the study's other runs, by dotted name.
-        run: Hash of everything the run depends on, which names its folder.
-        recording: Hash of everything the recording depends on, which names its folder.
-    """
-
-    scenario: Scenario
-    varied: Mapping[str, Any]
-    run: str
-    recording: str
+    scenario: Scenario  # The scenario to run
+    varied: Mapping[str, Any]  # Settings that distinguish the run from the study's other runs, by dotted name
+    run: str  # Hash of everything the run depends on, which names its folder
+    recording: str  # Hash of everything the recording depends on, which names its folder
 
 
 def gather(plans: Sequence[Plan], failures: Mapping[str, str], folder: Path) -> list[Row]:

@@ -17,8 +17,7 @@ from sim.errors import InputError, WorkError, one_line
 from sim.plugins import locate_failure
 
 FULL = (errno.ENOSPC, errno.EDQUOT, None)  # None: numpy says how many bytes were written, but not why
-FAULT = "deepgps-fault-"
-"""Prefix of the names of files with a traceback."""
+FAULT = "deepgps-fault-"  # Prefix of the names of files with a traceback
 
 
 class Fault(Exception):

@@ -41,21 +41,18 @@ TITLES = {
 """Names of the causes in ``metrics.json``, and the causes in words."""
 FAULTY = ("black", "white", "covered", "frozen")
 """Causes of images that do not show where the camera is or how it leans."""
-WINDOW, NEARLY_ALL = 150, 0.95
-"""The robot is in another room if this share of so many consecutive images is new."""
+WINDOW, NEARLY_ALL = 150, 0.95  # The robot is in another room if this share of so many consecutive images is new
 AROUND, OFTEN, MOSTLY = 50, 0.25, 0.5
 """The light has changed where values differ in the first share of so many images before and after an image; where they
 differ in the second share, it is also why others are refused."""
 MORE = 2.0
 """Refused images show that the room has changed if there are so many times more around than the drive explains."""
-FEWEST = 10
-"""Accepted images around an image, at least, that show whether the room has changed."""
+FEWEST = 10  # Accepted images around an image, at least, that show whether the room has changed
 LEAN_RINGS = 1.0 / 6.0
 """A camera has moved if it leans otherwise than in training by this part of a ring: 0.5 degrees with 32 rings."""
 RELIT = 2.0
 """An image is relit if its values differ this many times as much as those of one training image in a hundred."""
-NOTABLE = 0.05
-"""A drive has a cause if this share of its images does."""
+NOTABLE = 0.05  # A drive has a cause if this share of its images does
 
 Signs = dict[str, np.ndarray]
 """What N images show, each by itself: arrays (N,) by name, all but the last bool.
@@ -120,20 +117,13 @@ def _list_shares(shares: Mapping[str, float]) -> str:
 
 @dataclass(frozen=True)
 class Causes:
-    """What is wrong in a drive in use of N images.
+    """What is wrong in a drive in use of N images."""
 
-    Attributes:
-        label: Name of each image's cause in ``TITLES`` (N,) str; empty: none.
-        accepted: Whether the method accepts it and it has no cause in ``FAULTY`` (N,) bool.
-        lean_deg: Angle by which the camera leans otherwise than in training [deg]; None: no turns show it.
-        leans: Whether that is more than the images' size explains.
-        gain: Values of images over those in training, in the median of those of known places; None: there are none.
-    """
-
-    label: np.ndarray
-    accepted: np.ndarray
-    lean_deg: float | None
-    leans: bool
+    label: np.ndarray  # Name of each image's cause in ``TITLES`` (N,) str; empty: none
+    accepted: np.ndarray  # Whether the method accepts it and it has no cause in ``FAULTY`` (N,) bool
+    lean_deg: float | None  # Angle by which the camera leans otherwise than in training [deg]; None: no turns show it
+    leans: bool  # Whether that is more than the images' size explains
+    # Values of images over those in training, in the median of those of known places; None: there are none
     gain: float | None
 
     @property
@@ -165,21 +155,13 @@ def _count(labels: np.ndarray) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Monitor:
-    """What names the causes in drives of one method.
+    """What names the causes in drives of one method."""
 
-    Attributes:
-        positioner: The method as trained.
-        confidence: The table by which it accepts images.
-        upright: What sets its training images upright; None: no turns show how the camera leans.
-        known: Its training images.
-        limits: Limits of single images.
-    """
-
-    positioner: FeaturePositioner
-    confidence: Confidence
-    upright: Upright | None
-    known: KnownImages
-    limits: ImageLimits
+    positioner: FeaturePositioner  # The method as trained
+    confidence: Confidence  # The table by which it accepts images
+    upright: Upright | None  # What sets its training images upright; None: no turns show how the camera leans
+    known: KnownImages  # Its training images
+    limits: ImageLimits  # Limits of single images
 
     def name(self, drive: Recording) -> Causes:
         """Name the causes in a drive."""

@@ -28,60 +28,40 @@ from deepgps.positioner.headings import (
 from sim.recording.format import Recording
 from sim.sensors.camera.mount import Upright
 
-CELL_M = 0.05
-"""Of the training images, one is known in each square of the map with sides of this length [m]."""
+CELL_M = 0.05  # Of the training images, one is known in each square of the map with sides of this length [m]
 NEAREST, ALIKE = 4, 4
 """Known images that an image is compared with: those nearest to its predicted position, and those most alike."""
 CYCLES, AZIMUTHS = 16, 32
 """Cycles around the circle that are kept of the images' values, and values around it that are compared."""
-STEPS = 12
-"""Steps of brightness, each with as many values, in which the light is compared."""
-CHECKED = 400
-"""Training images from which limits come, at most."""
-APART_M = 1.0
-"""Images farther apart on the map than this, or than half of the map, are of different places [m]."""
-AROUND = 32
-"""Images among which one of another segment is looked for."""
+STEPS = 12  # Steps of brightness, each with as many values, in which the light is compared
+CHECKED = 400  # Training images from which limits come, at most
+APART_M = 1.0  # Images farther apart on the map than this, or than half of the map, are of different places [m]
+AROUND = 32  # Images among which one of another segment is looked for
 CHUNK = 64
 
 
 class Comparison(NamedTuple):
-    """How B images compare with the known ones.
+    """How B images compare with the known ones."""
 
-    Attributes:
-        correlation: Correlation with the best match (B,).
-        relit: How far values are from those of the match (B,), in steps of 8 bits: the median over ``STEPS`` of the
-            difference of medians. Furniture that covers less than half of the image does not change it.
-        gain: Values over those of the match (B,), in the mean over these steps.
-        away_m: Distance of the predicted position from the nearest known image's (B,) [m].
-    """
-
-    correlation: np.ndarray
+    correlation: np.ndarray  # Correlation with the best match (B,)
+    # How far values are from those of the match (B,), in steps of 8 bits: the median over ``STEPS`` of the difference
+    # of medians. Furniture that covers less than half of the image does not change it
     relit: np.ndarray
-    gain: np.ndarray
-    away_m: np.ndarray
+    gain: np.ndarray  # Values over those of the match (B,), in the mean over these steps
+    away_m: np.ndarray  # Distance of the predicted position from the nearest known image's (B,) [m]
 
 
 @dataclass(frozen=True)
 class KnownImages:
-    """Training images that cover the map evenly.
+    """Training images that cover the map evenly."""
 
-    Attributes:
-        place: Predicted positions (E, 2) [m].
-        phases: Their ring phases (E, L, K), as ``take_phases`` gives them.
-        values: Fourier coefficients of their values (E, rings, channels, ``CYCLES`` + 1).
-        other_place: Correlation that one in a hundred images exceeds with images of other places.
-        usual_match: Correlation that only one training image in a hundred is below.
-        usual_light: ``relit`` that one training image in a hundred exceeds.
-        gap_m: Distance from the nearest image of another segment that one training image in fifty exceeds [m].
-    """
-
-    place: np.ndarray
-    phases: np.ndarray
-    values: np.ndarray
-    other_place: float = 0.0
-    usual_match: float = 0.0
-    usual_light: float = np.inf
+    place: np.ndarray  # Predicted positions (E, 2) [m]
+    phases: np.ndarray  # Their ring phases (E, L, K), as ``take_phases`` gives them
+    values: np.ndarray  # Fourier coefficients of their values (E, rings, channels, ``CYCLES`` + 1)
+    other_place: float = 0.0  # Correlation that one in a hundred images exceeds with images of other places
+    usual_match: float = 0.0  # Correlation that only one training image in a hundred is below
+    usual_light: float = np.inf  # ``relit`` that one training image in a hundred exceeds
+    # Distance from the nearest image of another segment that one training image in fifty exceeds [m]
     gap_m: float = np.inf
 
     def compare(
@@ -205,39 +185,27 @@ def _set_upright(images: np.ndarray, upright: Upright | None) -> np.ndarray:
     return images if upright is None else upright(images)
 
 
-DARKEST, BRIGHTEST = 0.1, 0.9
-"""Quantiles of an image's values that tell whether it is white or black."""
+DARKEST, BRIGHTEST = 0.1, 0.9  # Quantiles of an image's values that tell whether it is white or black
 WHITE = 255.0
-BEYOND = 0.1
-"""An image is black or white beyond this share of what the most extreme training image leaves."""
-BLOCKS = 8, 32
-"""Blocks of an image, along the radius and around the circle."""
+BEYOND = 0.1  # An image is black or white beyond this share of what the most extreme training image leaves
+BLOCKS = 8, 32  # Blocks of an image, along the radius and around the circle
 FLAT, STEP = 0.02, 1.0
 """Blocks are alike within this share of the image's brightness, and this many steps of its values besides."""
 MORE_FLAT, LESS_DETAIL = 0.2, 0.25
 """A lens is covered if the share of flat directions is larger by this, or the detail below this share of the least."""
-LIMITED = 500
-"""Training images, or pairs of them, from which these limits come, at most."""
+LIMITED = 500  # Training images, or pairs of them, from which these limits come, at most
 BATCH = 256
 
 
 @dataclass(frozen=True)
 class ImageLimits:
-    """What training images have at the most, and consecutive ones at the least.
+    """What training images have at the most, and consecutive ones at the least."""
 
-    Attributes:
-        bright: Least of the images' ``BRIGHTEST`` quantiles.
-        dark: Largest of their ``DARKEST`` quantiles.
-        detail: Least detail: mean second difference of blocks around the circle over their mean.
-        flat: Largest share of directions in which all blocks are like those beside them.
-        change: Change that only one in a hundred pairs of consecutive images is below; see ``measure_change``.
-    """
-
-    bright: float
-    dark: float
-    detail: float
-    flat: float
-    change: float
+    bright: float  # Least of the images' ``BRIGHTEST`` quantiles
+    dark: float  # Largest of their ``DARKEST`` quantiles
+    detail: float  # Least detail: mean second difference of blocks around the circle over their mean
+    flat: float  # Largest share of directions in which all blocks are like those beside them
+    change: float  # Change that only one in a hundred pairs of consecutive images is below; see ``measure_change``
 
 
 def find_limits(recording: Recording) -> ImageLimits:

@@ -28,29 +28,20 @@ from sim.recording.format import Recording
 from sim.recording.turns import KINDS, NO_IMAGE
 from sim.sensors.encoder import expect_variance
 
-WAY = 0.005
-"""Standard deviation of a way by the wheels, as a part of it, beside the errors of encoders."""
+WAY = 0.005  # Standard deviation of a way by the wheels, as a part of it, beside the errors of encoders
 ASIDE_M, BENT_RAD = 0.002, 0.02
 """Standard deviations of the place beside a straight line and of the heading, after a metre [m], [rad]."""
 
 
 @dataclass(frozen=True)
 class Drive:
-    """M images in the order driven.
+    """M images in the order driven."""
 
-    Attributes:
-        observation: Observation of each (M,), or -1: it is an image after a turn.
-        turn_image: Turn image of each (M,), or -1: it is an observation.
-        reading: Row of the recording's readings at each (M,).
-        motions: Motion to each from the one before (M,); None: nothing is known of it.
-        turns: The turns between its segments.
-    """
-
-    observation: np.ndarray
-    turn_image: np.ndarray
-    reading: np.ndarray
-    motions: list[Motion | None]
-    turns: CompassTurns
+    observation: np.ndarray  # Observation of each (M,), or -1: it is an image after a turn
+    turn_image: np.ndarray  # Turn image of each (M,), or -1: it is an observation
+    reading: np.ndarray  # Row of the recording's readings at each (M,)
+    motions: list[Motion | None]  # Motion to each from the one before (M,); None: nothing is known of it
+    turns: CompassTurns  # The turns between its segments
 
 
 class _Node(NamedTuple):

@@ -18,70 +18,44 @@ from deepgps.tracking.fix import Fix, Trail, add_image, begin_trail, break_off, 
 from deepgps.tracking.motion import SCALE_STD, Motion, invert, move
 from sim.geometry import wrap
 
-MOST = 12
-"""Most hypotheses that are kept."""
-MOST_EVIDENCE = 4.0
-"""Largest evidence of one image: more would trust the model of its errors too far."""
+MOST = 12  # Most hypotheses that are kept
+MOST_EVIDENCE = 4.0  # Largest evidence of one image: more would trust the model of its errors too far
 MOST_BY_REFUSED = 4.0
 """Largest evidence of a hypothesis by images that their method refuses, so that they alone never make one certain."""
-LEAD = 30.0
-"""Largest evidence of a hypothesis, after which it can be overtaken: the robot may be carried at any time."""
+LEAD = 30.0  # Largest evidence of a hypothesis, after which it can be overtaken: the robot may be carried at any time
 SHARED_M, SHARED_RAD = 0.1, 0.2
 """Images of places or headings that are closer share their errors of position and yaw [m], [rad]."""
-EVIDENCE_M = 0.25
-"""Way after which an image is as much evidence as one of a place far away [m]."""
-REFUSED = 4.0
-"""Factor of the errors of images that their method refuses: they are alike over a long way."""
-NEAR_M, NEAR_RAD = 0.3, 0.35
-"""No hypothesis begins so near to another one [m], [rad]."""
+EVIDENCE_M = 0.25  # Way after which an image is as much evidence as one of a place far away [m]
+REFUSED = 4.0  # Factor of the errors of images that their method refuses: they are alike over a long way
+NEAR_M, NEAR_RAD = 0.3, 0.35  # No hypothesis begins so near to another one [m], [rad]
 ALIKE_M, ALIKE_RAD = 0.05, 0.1
 """Of two hypotheses that have come so near to each other the likelier one is kept [m], [rad]."""
-FAN = 8
-"""Headings at which hypotheses begin where an image tells no yaw."""
-CERTAIN = 0.999
-"""Probability from which an estimate is accepted."""
+FAN = 8  # Headings at which hypotheses begin where an image tells no yaw
+CERTAIN = 0.999  # Probability from which an estimate is accepted
 
 
 @dataclass(frozen=True)
 class State:
-    """What the filter knows.
+    """What the filter knows."""
 
-    Attributes:
-        mean: Hypotheses of the pose x, y [m], yaw [rad], and of the error of the odometry's scale (K, 4).
-        covariance: Their covariances (K, 4, 4).
-        evidence: Log-likelihood of the images under each, against a robot whose pose is unknown (K,).
-        trail: The last images along the path by odometry, which tell how large the errors of images are.
-        moved_m: Way since the last image that was used [m].
-        turned_rad: Turns since then [rad].
-    """
-
-    mean: np.ndarray
-    covariance: np.ndarray
-    evidence: np.ndarray
-    trail: Trail
-    moved_m: float = np.inf
-    turned_rad: float = np.inf
+    mean: np.ndarray  # Hypotheses of the pose x, y [m], yaw [rad], and of the error of the odometry's scale (K, 4)
+    covariance: np.ndarray  # Their covariances (K, 4, 4)
+    evidence: np.ndarray  # Log-likelihood of the images under each, against a robot whose pose is unknown (K,)
+    trail: Trail  # The last images along the path by odometry, which tell how large the errors of images are
+    moved_m: float = np.inf  # Way since the last image that was used [m]
+    turned_rad: float = np.inf  # Turns since then [rad]
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """The likeliest pose.
+    """The likeliest pose."""
 
-    Attributes:
-        position: Position (2,) [m]; NaN before the first image.
-        position_std: Its standard deviation along each axis [m].
-        yaw: Yaw [rad].
-        yaw_std: Its standard deviation [rad].
-        probability: That the robot is near it (``NEAR_M``), and neither at another hypothesis nor elsewhere.
-        accepted: Whether it is certain enough to be used.
-    """
-
-    position: np.ndarray
-    position_std: float
-    yaw: float
-    yaw_std: float
-    probability: float
-    accepted: bool
+    position: np.ndarray  # Position (2,) [m]; NaN before the first image
+    position_std: float  # Its standard deviation along each axis [m]
+    yaw: float  # Yaw [rad]
+    yaw_std: float  # Its standard deviation [rad]
+    probability: float  # That the robot is near it (``NEAR_M``), and neither at another hypothesis nor elsewhere
+    accepted: bool  # Whether it is certain enough to be used
 
 
 def begin() -> State:
@@ -208,8 +182,7 @@ def _find_near(one: np.ndarray, other: np.ndarray, near_m: float, near_rad: floa
     return (np.hypot(away[..., 0], away[..., 1]) < near_m) & (np.abs(wrap(away[..., 2])) < near_rad)
 
 
-AGREEMENT = MOST_EVIDENCE
-"""Evidence of two states that agree, against one of them alone."""
+AGREEMENT = MOST_EVIDENCE  # Evidence of two states that agree, against one of them alone
 PRIOR = np.diag([0.0, 0.0, 0.0, SCALE_STD**-2])
 
 

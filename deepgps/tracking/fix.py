@@ -19,31 +19,21 @@ if TYPE_CHECKING:
 UNDERSTATED, FLOOR_M = 2.0, 0.002
 """Errors of positions over ``Poses.position_std``, which knows only how straight segments are; and their least standard
 deviation [m]. Measured on drives in use of two rooms: 1.7 and 2.1."""
-USUAL_M = 0.02
-"""Standard deviation of the positions of methods that give none [m]."""
+USUAL_M = 0.02  # Standard deviation of the positions of methods that give none [m]
 OF_RADIUS_68 = 1.5096
 """Radius of 68 % over the standard deviation along one axis, of a normal distribution in the plane."""
 
 
 @dataclass(frozen=True)
 class Fix:
-    """What one image says of the robot's pose in the method's frame.
+    """What one image says of the robot's pose in the method's frame."""
 
-    Attributes:
-        position: Position (2,) [m].
-        position_std: Its standard deviation along each axis [m]; infinite: unknown, and the image is not used.
-        yaw: Hypotheses of the yaw (H,) [rad]; none: the image tells no yaw.
-        yaw_std: Their standard deviations (H,) [rad].
-        yaw_weight: Their probabilities (H,); what is missing to 1 is that none is right.
-        accepted: Whether it is like those of the drive that was learned from; others count little.
-    """
-
-    position: np.ndarray
-    position_std: float
-    yaw: np.ndarray
-    yaw_std: np.ndarray
-    yaw_weight: np.ndarray
-    accepted: bool = True
+    position: np.ndarray  # Position (2,) [m]
+    position_std: float  # Its standard deviation along each axis [m]; infinite: unknown, and the image is not used
+    yaw: np.ndarray  # Hypotheses of the yaw (H,) [rad]; none: the image tells no yaw
+    yaw_std: np.ndarray  # Their standard deviations (H,) [rad]
+    yaw_weight: np.ndarray  # Their probabilities (H,); what is missing to 1 is that none is right
+    accepted: bool = True  # Whether it is like those of the drive that was learned from; others count little
 
     @property
     def usable(self) -> bool:
@@ -84,16 +74,11 @@ def _take_yaws(pose: "Poses") -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return yaw[known], np.full(known.sum(), float(pose.yaw_std)), weight[known]
 
 
-FREEDOM = 4.0
-"""Degrees of freedom of the errors of images."""
-ROUNDS = 4
-"""Rounds in which the variance of an image is enlarged."""
-OUTLIER = 0.1
-"""Probability that an image says nothing of the pose."""
-LEAST_WITHOUT_YAW = 0.05
-"""Probability that no yaw of an image is right, at least."""
-AREA_M2 = 25.0
-"""Area over which the place of a robot that is lost is spread: only its order of magnitude matters [m^2]."""
+FREEDOM = 4.0  # Degrees of freedom of the errors of images
+ROUNDS = 4  # Rounds in which the variance of an image is enlarged
+OUTLIER = 0.1  # Probability that an image says nothing of the pose
+LEAST_WITHOUT_YAW = 0.05  # Probability that no yaw of an image is right, at least
+AREA_M2 = 25.0  # Area over which the place of a robot that is lost is spread: only its order of magnitude matters [m^2]
 
 
 class Updated(NamedTuple):
@@ -149,46 +134,30 @@ def _fit(
     return mean + step, (after + after.mT) / 2.0
 
 
-APART_M = 0.5
-"""Way between two images that are compared [m]."""
-FARTHEST_M = 1.0
-"""Images farther apart are not compared, since odometry errs too [m]."""
-WINDOW, BEFORE = 60, 10
-"""Comparisons of which the median is taken, and how many count as expected before any image."""
-OF_MEDIAN = 0.455
-"""Median of a squared standard normal variable."""
+APART_M = 0.5  # Way between two images that are compared [m]
+FARTHEST_M = 1.0  # Images farther apart are not compared, since odometry errs too [m]
+WINDOW, BEFORE = 60, 10  # Comparisons of which the median is taken, and how many count as expected before any image
+OF_MEDIAN = 0.455  # Median of a squared standard normal variable
 MOST = 100.0
 """Errors are at most so many times those expected, and never less than these, which the median of heavy tails hides."""
-LEAST_M = 0.05
-"""Way after which another image is kept, so that a robot that does not move does not fill the trail [m]."""
+LEAST_M = 0.05  # Way after which another image is kept, so that a robot that does not move does not fill the trail [m]
 
 
 @dataclass(frozen=True)
 class Seen:
-    """An image on the way.
+    """An image on the way."""
 
-    Attributes:
-        fix: What it says of the pose.
-        motion: By odometry, from it to the next image that is kept, or until now.
-        way_m: Way driven meanwhile [m].
-    """
-
-    fix: Fix
-    motion: Motion
-    way_m: float = 0.0
+    fix: Fix  # What it says of the pose
+    motion: Motion  # By odometry, from it to the next image that is kept, or until now
+    way_m: float = 0.0  # Way driven meanwhile [m]
 
 
 @dataclass(frozen=True)
 class Trail:
-    """The last images on a path by odometry.
+    """The last images on a path by odometry."""
 
-    Attributes:
-        images: Those with which the next may be compared, the last one at the end.
-        squared: Squared differences of distances over those expected (m,).
-    """
-
-    images: tuple[Seen, ...]
-    squared: np.ndarray
+    images: tuple[Seen, ...]  # Those with which the next may be compared, the last one at the end
+    squared: np.ndarray  # Squared differences of distances over those expected (m,)
 
 
 def begin_trail() -> Trail:

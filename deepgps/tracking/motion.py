@@ -9,23 +9,16 @@ from sim.geometry import wrap
 
 SCALE_STD, SCALE_M = 0.02, 100.0
 """Standard deviation of the odometry's scale against the map's, and the way in which it changes [m]."""
-QUARTER = np.array([[0.0, -1.0], [1.0, 0.0]])
-"""Derivative of a rotation at zero."""
+QUARTER = np.array([[0.0, -1.0], [1.0, 0.0]])  # Derivative of a rotation at zero
 
 
 @dataclass(frozen=True)
 class Motion:
-    """How the robot moved from one pose to the next: it is carried by ``step`` and then turns.
+    """How the robot moved from one pose to the next: it is carried by ``step`` and then turns."""
 
-    Attributes:
-        step: Forward and to the left, in the frame of the robot before (2,) [m].
-        turn: Turn to the left [rad].
-        covariance: Of forward, left and turn (3, 3) [m^2], [m rad], [rad^2].
-    """
-
-    step: np.ndarray
-    turn: float
-    covariance: np.ndarray
+    step: np.ndarray  # Forward and to the left, in the frame of the robot before (2,) [m]
+    turn: float  # Turn to the left [rad]
+    covariance: np.ndarray  # Of forward, left and turn (3, 3) [m^2], [m rad], [rad^2]
 
     @property
     def length_m(self) -> float:
@@ -71,8 +64,7 @@ def make_motion(
     return Motion(np.array([forward_m, left_m]), float(turn_rad), np.diag(spread**2))
 
 
-STILL = make_motion(0.0)
-"""No motion."""
+STILL = make_motion(0.0)  # No motion
 
 
 def invert(motion: Motion) -> Motion:

@@ -56,44 +56,29 @@ PATHS = {
     "dead_reckoning": "wheels alone",
 }
 """The paths of a drive and their titles; those by odometry begin at the first image."""
-KEPT = 4
-"""Hypotheses of the filter that are kept at each image."""
+KEPT = 4  # Hypotheses of the filter that are kept at each image
 
 
 @dataclass(frozen=True)
 class TrackedPath:
-    """Poses of M images.
+    """Poses of M images."""
 
-    Attributes:
-        pose: x, y [m], yaw [rad] (M, 3) in the method's frame; NaN where it is unknown.
-        std: Standard deviations of the position along each axis [m] and of the yaw [rad] (M, 2).
-        accepted: Which are certain enough to be used (M,) bool.
-    """
-
-    pose: np.ndarray
-    std: np.ndarray
-    accepted: np.ndarray
+    pose: np.ndarray  # x, y [m], yaw [rad] (M, 3) in the method's frame; NaN where it is unknown
+    std: np.ndarray  # Standard deviations of the position along each axis [m] and of the yaw [rad] (M, 2)
+    accepted: np.ndarray  # Which are certain enough to be used (M,) bool
 
 
 @dataclass(frozen=True)
 class Track:
-    """A tracked drive of M images.
+    """A tracked drive of M images."""
 
-    Attributes:
-        observation: Observation of each image (M,), or -1: it is an image after a turn.
-        turn_image: Turn image of each (M,), or -1.
-        time: Time of each (M,) [s].
-        paths: The paths by their names in ``PATHS``.
-        hypothesis: The likeliest poses that the filter holds at each image (M, ``KEPT``, 3); NaN where it holds fewer.
-        probability: Their probabilities (M, ``KEPT``).
-    """
-
-    observation: np.ndarray
-    turn_image: np.ndarray
-    time: np.ndarray
-    paths: dict[str, TrackedPath]
+    observation: np.ndarray  # Observation of each image (M,), or -1: it is an image after a turn
+    turn_image: np.ndarray  # Turn image of each (M,), or -1
+    time: np.ndarray  # Time of each (M,) [s]
+    paths: dict[str, TrackedPath]  # The paths by their names in ``PATHS``
+    # The likeliest poses that the filter holds at each image (M, ``KEPT``, 3); NaN where it holds fewer
     hypothesis: np.ndarray
-    probability: np.ndarray
+    probability: np.ndarray  # Their probabilities (M, ``KEPT``)
 
 
 def track_drive(positioner: Positioner, recording: Recording, progress: Report) -> Track:

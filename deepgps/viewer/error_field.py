@@ -26,15 +26,12 @@ from sim.geometry import FreeSpace
 LARGE_M = 0.1
 PARTS = ("above_10_cm", "below_10_cm")
 """Entities of the worst accepted headings: switching the second one off leaves the large errors."""
-REFUSED_PART = "refused"
-"""Entity of the worst refused headings, in grey."""
+REFUSED_PART = "refused"  # Entity of the worst refused headings, in grey
 DENSE_M = 0.05  # test positions with smaller spacing get thinner arrows
 HEIGHT_M = 3 * LAYER_M  # high enough for coverage and density to be drawn below
 HEAD_M = 0.05
-HEAD_SHARE = 0.35
-"""Length of an arrow's head, at most ``HEAD_M``, as a share of the arrow's."""
-YAW_M = 0.07
-"""Length of a yaw's arrow [m]."""
+HEAD_SHARE = 0.35  # Length of an arrow's head, at most ``HEAD_M``, as a share of the arrow's
+YAW_M = 0.07  # Length of a yaw's arrow [m]
 WRONG_DEG = 5.0
 GOOD, WRONG = (235, 235, 235), (255, 60, 220)
 """Colours of yaws that are off by at most ``WRONG_DEG``, and of others; the error field's colours mean positions."""

@@ -28,8 +28,7 @@ TICKS = ("Ticks per gap: left blue, right green", "drive/ticks", RECENT_S)
 SEGMENT_ERROR = ("Encoder minus truth [mm]", "drive/segment_error", RECENT_S)
 WHEELS = ("Diagnosis of the wheels", DIAGNOSIS)
 STEPS, FIGURES = "steps", "report/figures"
-Layers = Mapping[str, Sequence[str]]
-"""Layers of a method's error field that are hidden at first, by method."""
+Layers = Mapping[str, Sequence[str]]  # Layers of a method's error field that are hidden at first, by method
 Part = rrb.Container | rrb.View
 
 

@@ -38,19 +38,14 @@ from sim.recording.format import Truth, chunk_files, has_truth, open_recording, 
 from sim.settings import CameraSettings
 
 APPLICATION = "deepgps live"  # not that of recordings, whose blueprint it would replace
-GONE = (RuntimeError, ConnectionError)
-"""Errors that rerun raises when the viewer is gone."""
+GONE = (RuntimeError, ConnectionError)  # Errors that rerun raises when the viewer is gone
 PERIOD_S = 1.0
-STALL_S = 10.0
-"""How long a viewer may accept no data [s]."""
-PATIENCE_S = 20.0
-"""How long a finished run waits for a slow viewer to accept the remaining data [s]."""
-LOOK_S = 0.4
-"""Interval at which a finished run checks whether the viewer still answers [s]."""
+STALL_S = 10.0  # How long a viewer may accept no data [s]
+PATIENCE_S = 20.0  # How long a finished run waits for a slow viewer to accept the remaining data [s]
+LOOK_S = 0.4  # Interval at which a finished run checks whether the viewer still answers [s]
 Spread = Callable[[int], np.ndarray]
 """Makes times (n,) [s] for so many rows, spread over the time since the last update."""
-TRACK_M = 0.16
-"""Distance between the wheels of the robot that is drawn until its own is known."""
+TRACK_M = 0.16  # Distance between the wheels of the robot that is drawn until its own is known
 PICTURE_EVERY = 32  # observations
 PICTURES_AT_ONCE = 100
 

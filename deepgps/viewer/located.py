@@ -20,14 +20,11 @@ from sim.geometry import FreeSpace
 from sim.recording.format import has_truth, open_truth
 
 APPLICATION = "deepgps locate"
-IMAGE, TIME = "image", "time"
-"""Timelines: the number of the image, and when it was taken, if that is known."""
-TRAIL = 2000
-"""Positions of which the way is drawn."""
+IMAGE, TIME = "image", "time"  # Timelines: the number of the image, and when it was taken, if that is known
+TRAIL = 2000  # Positions of which the way is drawn
 ROBOT, REFUSED, WAY = (90, 200, 250), (240, 90, 80), (150, 160, 180)
 ARROW_M, LARGER = 0.25, 4
-FLUSH_S = 5.0
-"""How long a viewer may take for what is left at the end [s]."""
+FLUSH_S = 5.0  # How long a viewer may take for what is left at the end [s]
 
 Show = Callable[[float | None, np.ndarray, np.ndarray, float | None, float | None, bool | None], None]
 """(time [s], polar image, position (2,) [m], yaw [rad], radius of 95 % [m], whether it is accepted) of an image."""

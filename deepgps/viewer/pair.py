@@ -32,8 +32,7 @@ from sim.geometry import FreeSpace, limits
 from sim.recording.format import open_truth
 
 PAIRS = "pairs"
-SAME_M = SCALE_M[0]
-"""Errors that differ by less than this count as equal [m]."""
+SAME_M = SCALE_M[0]  # Errors that differ by less than this count as equal [m]
 # blue: B is better; grey: the same; orange: B is worse
 CHANGE = LinearSegmentedColormap.from_list(
     "change",
@@ -44,25 +43,17 @@ CHANGE = LinearSegmentedColormap.from_list(
     ],
 )
 LABELS = {-1.0: "B better by 1 m", -0.5: "10 cm", 0.0: "within 1 cm", 0.5: "10 cm", 1.0: "B worse by 1 m"}
-TABLES = (("rms_m", "median_m"), ("p95_m", "max_m"))
-"""Figures of each table, few enough for its width."""
+TABLES = (("rms_m", "median_m"), ("p95_m", "max_m"))  # Figures of each table, few enough for its width
 
 
 @dataclass(frozen=True)
 class Side:
-    """One run of a pair.
+    """One run of a pair."""
 
-    Attributes:
-        folder: The run's folder.
-        metrics: The contents of its metrics.json.
-        fields: Its error fields by method name.
-        space: The free space of its room.
-    """
-
-    folder: Path
-    metrics: Mapping[str, Any]
-    fields: Mapping[str, ErrorField]
-    space: FreeSpace
+    folder: Path  # The run's folder
+    metrics: Mapping[str, Any]  # The contents of its metrics.json
+    fields: Mapping[str, ErrorField]  # Its error fields by method name
+    space: FreeSpace  # The free space of its room
 
     @property
     def scene(self) -> Path:
@@ -72,16 +63,11 @@ class Side:
 
 @dataclass(frozen=True)
 class Pair:
-    """Two runs, A and B.
+    """Two runs, A and B."""
 
-    Attributes:
-        sides: Both runs, by the entity below which each is logged.
-        methods: Methods that both runs have, in the order of the first.
-        same_floor: Whether both have the same room and test positions, so that errors can be compared at each position.
-    """
-
-    sides: Mapping[str, Side]
-    methods: Sequence[str]
+    sides: Mapping[str, Side]  # Both runs, by the entity below which each is logged
+    methods: Sequence[str]  # Methods that both runs have, in the order of the first
+    # Whether both have the same room and test positions, so that errors can be compared at each position
     same_floor: bool
 
     def errors(self, method: str) -> list[np.ndarray]:

@@ -15,10 +15,8 @@ from sim.recording.format import open_recording, open_truth
 from sim.sensors.camera.lens import make_lens, project_polar, round_rays
 from sim.settings import CameraSettings
 
-PICTURES = "pictures.npz"
-"""File of the large pictures in a run's folder."""
-LARGE = "large"
-"""Name of the large pictures below ``drive``."""
+PICTURES = "pictures.npz"  # File of the large pictures in a run's folder
+LARGE = "large"  # Name of the large pictures below ``drive``
 COUNT = 36
 JPEG_QUALITY = 85
 

@@ -45,19 +45,12 @@ NOTE = (
 
 @dataclass(frozen=True)
 class Place:
-    """A test position at which a method fails.
+    """A test position at which a method fails."""
 
-    Attributes:
-        method: The method.
-        rank: 1 for its worst place.
-        cell: Index of the test position.
-        heading: Index of its worst heading.
-    """
-
-    method: str
-    rank: int
-    cell: int
-    heading: int
+    method: str  # The method
+    rank: int  # 1 for its worst place
+    cell: int  # Index of the test position
+    heading: int  # Index of its worst heading
 
 
 def find_places(fields: Mapping[str, ErrorField], count: int = PLACES) -> list[Place]:

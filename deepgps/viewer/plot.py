@@ -23,27 +23,18 @@ TICKS = 4
 GRID, INK = (44, 49, 60), (170, 177, 190)
 DISTRIBUTION = "report/distribution"
 MIN_ERROR_M = 1e-3
-PALE = 150
-"""Opacity of the curves of all runs but the last."""
+PALE = 150  # Opacity of the curves of all runs but the last
 
 
 @dataclass(frozen=True)
 class Axis:
-    """One axis of a plot.
+    """One axis of a plot."""
 
-    Attributes:
-        title: What is along it, with its unit.
-        low: Value at its start.
-        high: Value at its end.
-        ticks: Labels by value.
-        log: Whether it is logarithmic.
-    """
-
-    title: str
-    low: float
-    high: float
-    ticks: Mapping[float, str]
-    log: bool = False
+    title: str  # What is along it, with its unit
+    low: float  # Value at its start
+    high: float  # Value at its end
+    ticks: Mapping[float, str]  # Labels by value
+    log: bool = False  # Whether it is logarithmic
 
     def share(self, values: np.ndarray | Sequence[float]) -> np.ndarray:
         """Positions of values along the axis, from 0 to 1 between its ends; values beyond them are moved there."""
@@ -55,23 +46,14 @@ class Axis:
 
 @dataclass(frozen=True)
 class Curve:
-    """One line of a plot.
+    """One line of a plot."""
 
-    Attributes:
-        name: Entity below the plot.
-        title: Its line in the legend; empty: none.
-        colour: RGB or RGBA, up to 255.
-        x: Abscissas (n,).
-        y: Ordinates (n,).
-        marked: Whether there is a dot at each point.
-    """
-
-    name: str
-    title: str
-    colour: tuple[int, ...]
-    x: Sequence[float] | np.ndarray
-    y: Sequence[float] | np.ndarray
-    marked: bool = False
+    name: str  # Entity below the plot
+    title: str  # Its line in the legend; empty: none
+    colour: tuple[int, ...]  # RGB or RGBA, up to 255
+    x: Sequence[float] | np.ndarray  # Abscissas (n,)
+    y: Sequence[float] | np.ndarray  # Ordinates (n,)
+    marked: bool = False  # Whether there is a dot at each point
 
 
 def make_axis(title: str, values: np.ndarray | Sequence[float], log: bool = False, zero: bool = False) -> Axis:

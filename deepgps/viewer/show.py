@@ -30,8 +30,7 @@ SIZE_PX = "1600x1000"
 MARK = ("Software", "deepgps view --screenshot")
 DRIVER = "--screenshot needs a Vulkan driver, such as Mesa's: apt-get install mesa-vulkan-drivers"
 PATIENCE_S, LOOK_S = 600.0, 0.5
-SHOWN = 0.6
-"""Share of a colour scale that a picture shows once its error field is drawn."""
+SHOWN = 0.6  # Share of a colour scale that a picture shows once its error field is drawn
 
 
 def view(paths: Sequence[Path]) -> None:

@@ -14,21 +14,14 @@ Point = tuple[tuple[Any, ...], ...]  # values of each dimension: case, axes, see
 
 @dataclass(frozen=True)
 class Step:
-    """One place on a slider.
+    """One place on a slider."""
 
-    Attributes:
-        value: The setting's value at this place, in words.
-        words: What distinguishes the run shown here from all others, in words.
-        rows: Rows of the run shown here, one for each method; of runs that differ in seed, the first finished one.
-        repeats: Rows of all finished seeds.
-        number: The setting's value, if it is a number.
-    """
-
-    value: str
-    words: str
+    value: str  # The setting's value at this place, in words
+    words: str  # What distinguishes the run shown here from all others, in words
+    # Rows of the run shown here, one for each method; of runs that differ in seed, the first finished one
     rows: Sequence[Row]
-    repeats: Sequence[Row]
-    number: float | None = None
+    repeats: Sequence[Row]  # Rows of all finished seeds
+    number: float | None = None  # The setting's value, if it is a number
 
     @property
     def done(self) -> bool:
@@ -38,17 +31,11 @@ class Step:
 
 @dataclass(frozen=True)
 class Slider:
-    """One timeline.
+    """One timeline."""
 
-    Attributes:
-        name: The setting that the slider changes, or ``case``, ``seed`` or ``run``.
-        steps: The slider's places in order.
-        others: The settings that stay fixed, in words.
-    """
-
-    name: str
-    steps: Sequence[Step]
-    others: str
+    name: str  # The setting that the slider changes, or ``case``, ``seed`` or ``run``
+    steps: Sequence[Step]  # The slider's places in order
+    others: str  # The settings that stay fixed, in words
 
     @property
     def numbers(self) -> list[float]:

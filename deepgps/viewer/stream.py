@@ -26,12 +26,9 @@ from sim.recording.format import Recording
 
 DRIVE_TIME, STEP, MAKING, PLACE, PROGRESS = "drive_time", "step", "making", "place", "progress"
 RUN_TIME = "run_time"
-PROGRESS_END_S = 100.0
-"""Seconds in which the viewer plays everything; a second is one per cent."""
-Rows = Sequence[rr.TimeColumn]
-"""Times of some rows, on one or several timelines."""
-Clock = Callable[[np.ndarray], Rows]
-"""Makes rows at times of a drive (n,) [s]."""
+PROGRESS_END_S = 100.0  # Seconds in which the viewer plays everything; a second is one per cent
+Rows = Sequence[rr.TimeColumn]  # Times of some rows, on one or several timelines
+Clock = Callable[[np.ndarray], Rows]  # Makes rows at times of a drive (n,) [s]
 
 
 def put(

@@ -23,30 +23,20 @@ from sim.files.checksums import write_array, write_arrays
 
 SMALLEST_PX = 12.0
 """Detections of tags smaller than this, by the root of the area, are not used: their corners blur together."""
-MOST_VIEWS = 400
-"""Views used in bundle adjustment, at most; all views are solved afterwards."""
-LEAST_TAGS = 2
-"""Tags that a view must show, at least: from a single tag its pose has two candidates."""
-WRONG_PX = 3.0
-"""A tag whose RMS error in a solved view is larger than this [px] is treated as an outlier."""
+MOST_VIEWS = 400  # Views used in bundle adjustment, at most; all views are solved afterwards
+LEAST_TAGS = 2  # Tags that a view must show, at least: from a single tag its pose has two candidates
+WRONG_PX = 3.0  # A tag whose RMS error in a solved view is larger than this [px] is treated as an outlier
 NOISE_PX, UNSURE_M = 0.2, 0.03
 """Expected standard deviation of corners [px], and largest standard deviation of a view's position from it [m]."""
-SCALE_PX = 0.5
-"""Error at which the robust loss of bundle adjustment changes from quadratic to linear [px]."""
-STEPS, ENOUGH = 100, 1e-10
-"""Largest number of bundle adjustment steps, and the relative gain in cost at which it ends."""
+SCALE_PX = 0.5  # Error at which the robust loss of bundle adjustment changes from quadratic to linear [px]
+STEPS, ENOUGH = 100, 1e-10  # Largest number of bundle adjustment steps, and the relative gain in cost at which it ends
 
 
 class TagMap(NamedTuple):
-    """Tags that are connected, in the frame of the first of them.
+    """Tags that are connected, in the frame of the first of them."""
 
-    Attributes:
-        tag: Tag numbers (T,), ascending.
-        pose: ``T_map_tag`` (T, 4, 4).
-    """
-
-    tag: np.ndarray
-    pose: np.ndarray
+    tag: np.ndarray  # Tag numbers (T,), ascending
+    pose: np.ndarray  # ``T_map_tag`` (T, 4, 4)
 
 
 def reconstruct(detections: Detections, camera: np.ndarray) -> TagMap:

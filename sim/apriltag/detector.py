@@ -9,12 +9,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-TAGS = 82
-"""Number of tags in the paper's room (Sec. IV-C): numbers 0 to 81 of the family."""
-SIDE_M = 0.16
-"""Side of the black square [m]."""
-MODULES = 8
-"""Modules across the black square: a border of one on each side and six of code."""
+TAGS = 82  # Number of tags in the paper's room (Sec. IV-C): numbers 0 to 81 of the family
+SIDE_M = 0.16  # Side of the black square [m]
+MODULES = 8  # Modules across the black square: a border of one on each side and six of code
 PLATE_M = SIDE_M * (MODULES + 2) / MODULES
 """Side of the white plate, which has a margin of one module around the black square [m]."""
 CORNERS = SIDE_M / 2 * np.array([[-1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [-1.0, -1.0, 0.0]])
@@ -29,17 +26,11 @@ _MODULE_PX = 16
 
 @dataclass(frozen=True)
 class Detections:
-    """Tags found in images.
+    """Tags found in images."""
 
-    Attributes:
-        view: Image in which each tag was found (S,) int64.
-        tag: Number of each tag (S,) int64.
-        corner: Columns and rows of each tag's corners (S, 4, 2) [px], pixel centres at integers.
-    """
-
-    view: np.ndarray
-    tag: np.ndarray
-    corner: np.ndarray
+    view: np.ndarray  # Image in which each tag was found (S,) int64
+    tag: np.ndarray  # Number of each tag (S,) int64
+    corner: np.ndarray  # Columns and rows of each tag's corners (S, 4, 2) [px], pixel centres at integers
 
     def of(self, chosen: np.ndarray) -> "Detections":
         """Return the detections that an index or a mask selects."""

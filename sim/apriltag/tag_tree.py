@@ -16,32 +16,21 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components, mini
 from sim.apriltag.detector import CORNERS, Detections, measure_size
 from sim.errors import WorkError
 
-PAIR_VIEWS = 24
-"""Views in which two tags are compared, at most: those where the tags are largest."""
-UNLIKE_M = 0.3
-"""Pairs of candidates farther apart than this [m] all count as equally wrong."""
-LEAST_VIEWS = 3
-"""Views that must show two tags together, at least."""
-AGREE_M = 0.3
-"""A step agrees with a map if either tag is less than this [m] from where the step from the other puts it."""
+PAIR_VIEWS = 24  # Views in which two tags are compared, at most: those where the tags are largest
+UNLIKE_M = 0.3  # Pairs of candidates farther apart than this [m] all count as equally wrong
+LEAST_VIEWS = 3  # Views that must show two tags together, at least
+AGREE_M = 0.3  # A step agrees with a map if either tag is less than this [m] from where the step from the other puts it
 CONTESTED, TRIED = 0.7, 50
 """Share of the steps across a cut below which the step of the tree is voted on, and how many others are tried."""
 
 
 class Steps(NamedTuple):
-    """Relative poses of pairs of tags.
+    """Relative poses of pairs of tags."""
 
-    Attributes:
-        first: First tag of each pair (p,), counted from 0.
-        second: Second tag of each (p,).
-        step: ``T_first_second`` (p, 4, 4).
-        cost: Mean disagreement of the views (p,) [m].
-    """
-
-    first: np.ndarray
-    second: np.ndarray
-    step: np.ndarray
-    cost: np.ndarray
+    first: np.ndarray  # First tag of each pair (p,), counted from 0
+    second: np.ndarray  # Second tag of each (p,)
+    step: np.ndarray  # ``T_first_second`` (p, 4, 4)
+    cost: np.ndarray  # Mean disagreement of the views (p,) [m]
 
 
 def chain_tags(detections: Detections, camera: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -15,8 +15,7 @@ from pathlib import Path
 
 from sim.errors import InputError, WorkError
 
-PART = ".deepgps-part"
-"""Suffix of files and folders that are being written: ``<name>.<process>.deepgps-part``."""
+PART = ".deepgps-part"  # Suffix of files and folders that are being written: ``<name>.<process>.deepgps-part``
 _WRITING = re.compile(rf"\.\d+{re.escape(PART)}(?=/|$)")
 NO_SPACE = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 PROBE = 1 << 20

@@ -23,10 +23,8 @@ from sim.errors import DamagedError, InputError, one_line
 from sim.files.atomic import NO_SPACE, write_atomic, write_bytes, write_text
 
 log = logging.getLogger(__name__)
-SUM, CHECKSUM = ".sha256", "checksum"
-"""Suffix of a file of a checksum, and the key of the checksum in JSON."""
-FORMAT = 2
-"""Number of the format of recordings, runs and studies; format 1 is that of deepgps 0.1.0."""
+SUM, CHECKSUM = ".sha256", "checksum"  # Suffix of a file of a checksum, and the key of the checksum in JSON
+FORMAT = 2  # Number of the format of recordings, runs and studies; format 1 is that of deepgps 0.1.0
 LINES = f"# deepgps format {FORMAT}; sha256 of the lines below: "
 
 

@@ -34,32 +34,21 @@ from sim.settings import TURN_RATE_RPS, SimSettings
 
 WHEEL_RADIUS_M, TRACK_M = 0.033, 0.16
 """Nominal wheels that convert a distance travelled to ticks: those of a TurtleBot3 Burger."""
-LEAST_STEPS = 3
-"""A heading that meets a wall in fewer steps than this is drawn again."""
-TRIES = 10_000
-"""Draws of a heading before the robot is taken to be stuck."""
+LEAST_STEPS = 3  # A heading that meets a wall in fewer steps than this is drawn again
+TRIES = 10_000  # Draws of a heading before the robot is taken to be stuck
 World = LandmarkWorld | LidarWorld
 
 
 @dataclass(frozen=True)
 class PlanarDrive:
-    """A finished drive.
+    """A finished drive."""
 
-    Attributes:
-        pose: Pose at each observation (N, 3): x, y [m], yaw [rad].
-        reading: Segment and observation of each reading (R, 2); a turning place has two readings.
-        wheel_angle: Angle of left and right wheel at each reading (R, 2) [rad].
-        time: Time of each reading (R,) [s].
-        turns: The turns between segments.
-        turn_pose: Pose after each turn in place (K, 3).
-    """
-
-    pose: np.ndarray
-    reading: np.ndarray
-    wheel_angle: np.ndarray
-    time: np.ndarray
-    turns: Turns
-    turn_pose: np.ndarray
+    pose: np.ndarray  # Pose at each observation (N, 3): x, y [m], yaw [rad]
+    reading: np.ndarray  # Segment and observation of each reading (R, 2); a turning place has two readings
+    wheel_angle: np.ndarray  # Angle of left and right wheel at each reading (R, 2) [rad]
+    time: np.ndarray  # Time of each reading (R,) [s]
+    turns: Turns  # The turns between segments
+    turn_pose: np.ndarray  # Pose after each turn in place (K, 3)
 
 
 def collect(settings: SimSettings, seed: int, folder: Path, progress: Report) -> None:

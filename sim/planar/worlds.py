@@ -81,10 +81,8 @@ class LandmarkWorld:
         return spread_headings(np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2), grid.headings)
 
 
-OBSTACLES = 20
-"""Rectangles to place; they may overlap, or leave passages."""
-SMALLEST, LARGEST = 0.03, 0.2
-"""Shortest and longest side of an obstacle, as fractions of the square's side."""
+OBSTACLES = 20  # Rectangles to place; they may overlap, or leave passages
+SMALLEST, LARGEST = 0.03, 0.2  # Shortest and longest side of an obstacle, as fractions of the square's side
 PASSAGE, TRIES = 0.06, 100
 """Smallest width of a passage between two obstacles, as a fraction of the square's side; draws per obstacle."""
 CELLS, PLACES = 200, 16

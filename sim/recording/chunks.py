@@ -23,8 +23,7 @@ from sim.robot.world import RoomWorld
 from sim.sensors.catalog import SENSORS, Opened, list_carried, load
 from sim.settings import SimSettings
 
-CHUNK = 256
-"""Fewest new observations in a chunk, except in the last one of a drive."""
+CHUNK = 256  # Fewest new observations in a chunk, except in the last one of a drive
 
 
 def drive_chunk(
@@ -86,8 +85,7 @@ def _number(segment: Segment, number: int, observations: int) -> dict[str, np.nd
 
 IMAGE, RENDERER, TWICE, DIFFERED = "image", "renderer", "drawn_twice", "differed"
 """Names of the arrays in a part's files."""
-Beat = Callable[[], None]
-"""Signals that the work continues."""
+Beat = Callable[[], None]  # Signals that the work continues
 
 
 def sense_part(part: Part, beat: Beat) -> None:

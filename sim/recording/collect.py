@@ -55,32 +55,21 @@ from sim.settings import DeploymentSettings, SimSettings
 
 ROUNDED = 1e-6
 """How far outside the free space a position of the test grid may be, as a part of its spacing: sums are rounded."""
-TRIES = 3
-"""Attempts at assembling a recording when a part turns out to be damaged."""
+TRIES = 3  # Attempts at assembling a recording when a part turns out to be damaged
 log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class _Job:
-    """A recording to make.
+    """A recording to make."""
 
-    Attributes:
-        settings: World, robot, sensors, drive and test grid.
-        seed: Seed of its RNG streams.
-        world: The room that is driven; its settings are those of the drive.
-        test_pose: Poses of the test positions (C, H, 3); empty if test samples are held out.
-        folder: The recording's folder.
-        work: Folder of its parts.
-        base: A finished recording from which all but the tests is taken; None: the drive is made.
-    """
-
-    settings: SimSettings
-    seed: int
-    world: RoomWorld
-    test_pose: np.ndarray
-    folder: Path
-    work: Path
-    base: Path | None = None
+    settings: SimSettings  # World, robot, sensors, drive and test grid
+    seed: int  # Seed of its RNG streams
+    world: RoomWorld  # The room that is driven; its settings are those of the drive
+    test_pose: np.ndarray  # Poses of the test positions (C, H, 3); empty if test samples are held out
+    folder: Path  # The recording's folder
+    work: Path  # Folder of its parts
+    base: Path | None = None  # A finished recording from which all but the tests is taken; None: the drive is made
 
     def estimate_bytes(self) -> int:
         """Bytes that the recording needs at least, in addition to its existing parts."""

@@ -44,8 +44,7 @@ from sim.settings import DeploymentSettings, EncoderSettings, GridSettings, Imag
 PER_SAMPLE = ("truth/pose.npy", "truth/state.npy")
 OBSERVATIONS = "observations/"
 PER_READING = ("truth/reading.npy", "truth/wheel_angle.npy")
-READ_AGAIN = ("reading.npy", "time.npy", TURNS)
-"""Files that depend on the encoder settings."""
+READ_AGAIN = ("reading.npy", "time.npy", TURNS)  # Files that depend on the encoder settings
 OF_TESTS = ("test/", "truth/test_pose.npy", OF_USE)
 """Beginnings of the names of files that depend on deployment or test grid."""
 COUNTED = (
@@ -59,12 +58,10 @@ COUNTED = (
     "gl_renderer",
 )
 """Entries of the manifest that tell of the training drive."""
-NOT_LEARNED = (*READ_AGAIN, *OF_TESTS)
-"""Beginnings of the names of files that do not affect a training without ticks."""
+NOT_LEARNED = (*READ_AGAIN, *OF_TESTS)  # Beginnings of the names of files that do not affect a training without ticks
 OF_IMAGES = ("images_drawn_twice", "images_that_differed")
 SAMPLES_IN_USE = "deployment.drive_samples"
-AT_ONCE = 256
-"""Images that are processed at a time."""
+AT_ONCE = 256  # Images that are processed at a time
 
 
 def choose_drive(settings: SimSettings, samples: int) -> SimSettings:

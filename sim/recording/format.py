@@ -31,49 +31,33 @@ OWN = re.compile(
     r"|labels/((test_)?detection|tag)\.npz|labels/(test_)?pose\.npy"
 )
 """Paths of a recording's files, without those of the drive in use."""
-RECORDING = re.compile(rf"({IN_USE}/)?({OWN.pattern})")
-"""Paths of all files that a recording's folder holds."""
+RECORDING = re.compile(rf"({IN_USE}/)?({OWN.pattern})")  # Paths of all files that a recording's folder holds
 PART = re.compile(rf"drive-\d+\.npz|(image|test|turn)-\d+(\.{SENSOR})?\.np[yz]")
 """Names of the parts of a drive, without those of the drive in use."""
-COLLECTING = re.compile(rf"({IN_USE}/)?({PART.pattern})")
-"""Paths of all files in the folder of an unfinished recording."""
-OF_USE = f"{IN_USE}/manifest.json"
-"""Path of the manifest of the drive in use."""
-OF_RUN = "recording"
-"""Name of the folder of a run's recording; other recordings have names of their own."""
-Report = Callable[[str, int, int], None]
-"""Called with a stage of the work, the steps done and their number."""
+COLLECTING = re.compile(rf"({IN_USE}/)?({PART.pattern})")  # Paths of all files in the folder of an unfinished recording
+OF_USE = f"{IN_USE}/manifest.json"  # Path of the manifest of the drive in use
+OF_RUN = "recording"  # Name of the folder of a run's recording; other recordings have names of their own
+Report = Callable[[str, int, int], None]  # Called with a stage of the work, the steps done and their number
 RECORD_AGAIN = "restore it from a copy, or, if the simulator made it, make it again with --fresh"
 
 
 @dataclass(frozen=True)
 class Recording:
-    """What the robot sensed; nothing here reveals where it was.
+    """What the robot sensed; nothing here reveals where it was."""
 
-    Attributes:
-        folder: Its folder.
-        manifest: Settings, seeds, counts, odometry constants, checksums.
-        observation: Observations of the first sensor, from which methods learn; memory-mapped. Polar images (N, rings,
-            sectors, 3) uint8, lidar scans (N, headings, rays) or distances to landmarks (N, landmarks), both float32.
-        reading: int64 (R, 4): segment, observation, cumulative left ticks, cumulative right ticks.
-        time: Time of each reading (R,) [s].
-        test_observation: Observations at test positions (C) and headings (H): (C, H, ...), memory-mapped.
-        observation_time: Time of each observation (N,) [s]; NaN where it is not known.
-        turns: What the robot knows of its turns; None: nothing, as in those of landmarks.
-        turn_observation: Observations of the first sensor after turns in place (K, ...), memory-mapped; None like
-            ``turns``.
-        others: Observations of the other sensors by name (N, ...), memory-mapped; a tag camera has grey images.
-    """
-
-    folder: Path
-    manifest: Manifest
+    folder: Path  # Its folder
+    manifest: Manifest  # Settings, seeds, counts, odometry constants, checksums
+    # Observations of the first sensor, from which methods learn; memory-mapped. Polar images (N, rings, sectors, 3)
+    # uint8, lidar scans (N, headings, rays) or distances to landmarks (N, landmarks), both float32
     observation: np.ndarray
-    reading: np.ndarray
-    time: np.ndarray
-    test_observation: np.ndarray
-    observation_time: np.ndarray | None = None
+    reading: np.ndarray  # int64 (R, 4): segment, observation, cumulative left ticks, cumulative right ticks
+    time: np.ndarray  # Time of each reading (R,) [s]
+    test_observation: np.ndarray  # Observations at test positions (C) and headings (H): (C, H, ...), memory-mapped
+    observation_time: np.ndarray | None = None  # Time of each observation (N,) [s]; NaN where it is not known
+    # Observations of the other sensors by name (N, ...), memory-mapped; a tag camera has grey images
     others: Mapping[str, np.ndarray] = field(default_factory=dict)
-    turns: Turns | None = None
+    turns: Turns | None = None  # What the robot knows of its turns; None: nothing, as in those of landmarks
+    # Observations of the first sensor after turns in place (K, ...), memory-mapped; None like ``turns``
     turn_observation: np.ndarray | None = None
 
     @property
@@ -84,34 +68,21 @@ class Recording:
 
 @dataclass(frozen=True)
 class Labels:
-    """Poses measured by the tag camera, in an arbitrary frame; NaN where it saw too few tags.
+    """Poses measured by the tag camera, in an arbitrary frame; NaN where it saw too few tags."""
 
-    Attributes:
-        pose: Pose at each observation (N, 3): x, y [m], yaw [rad].
-        test_pose: Pose at each test image (C, H, 3).
-    """
-
-    pose: np.ndarray
-    test_pose: np.ndarray
+    pose: np.ndarray  # Pose at each observation (N, 3): x, y [m], yaw [rad]
+    test_pose: np.ndarray  # Pose at each test image (C, H, 3)
 
 
 @dataclass(frozen=True)
 class Truth:
-    """The simulator's ground truth; only evaluation, the supervised baselines and the viewer open it.
+    """The simulator's ground truth; only evaluation, the supervised baselines and the viewer open it."""
 
-    Attributes:
-        pose: Pose at each observation (N, 3): x, y [m], yaw [rad].
-        reading: Segment and observation of each reading (Q, 2), including those that never arrived.
-        wheel_angle: Wheel-joint angles at each of these readings (Q, 2): left, right [rad].
-        test_pose: Pose at each test image (C, H, 3).
-        free_space: Where the robot fits.
-    """
-
-    pose: np.ndarray
-    reading: np.ndarray
-    wheel_angle: np.ndarray
-    test_pose: np.ndarray
-    free_space: FreeSpace
+    pose: np.ndarray  # Pose at each observation (N, 3): x, y [m], yaw [rad]
+    reading: np.ndarray  # Segment and observation of each reading (Q, 2), including those that never arrived
+    wheel_angle: np.ndarray  # Wheel-joint angles at each of these readings (Q, 2): left, right [rad]
+    test_pose: np.ndarray  # Pose at each test image (C, H, 3)
+    free_space: FreeSpace  # Where the robot fits
 
 
 def open_recording(folder: Path) -> Recording:

@@ -16,48 +16,33 @@ from sim.rng import derive_seed
 from sim.sensors.catalog import SENSORS, ObservationKind, list_kept
 from sim.settings import DeploymentMountSettings, DeploymentSettings, SimSettings
 
-PACKAGES = ("mujoco", "numpy", "opencv-python-headless")
-"""Packages on whose versions the bytes of a recording depend."""
-SENSOR = r"[a-z][a-z0-9_]{0,40}"
-"""Pattern of a sensor's name, which is part of the names of its files."""
+PACKAGES = ("mujoco", "numpy", "opencv-python-headless")  # Packages on whose versions the bytes of a recording depend
+SENSOR = r"[a-z][a-z0-9_]{0,40}"  # Pattern of a sensor's name, which is part of the names of its files
 DIMENSIONS: dict[ObservationKind, int] = {"polar_image": 4, "scan": 3, "vector": 2, "image": 3}
 """Axes of an array of observations, that of the observations included."""
 
 
 class Manifest(BaseModel):
-    """Metadata of a recording; a writer may add keys of its own.
-
-    Attributes:
-        number: Number of the format.
-        source: Where it comes from: ``simulator``, or ``log`` of a robot.
-        sensors: Kind of each sensor's observations, by its name; methods learn from the first.
-        settings: Settings of the simulation, if there was one.
-        seed: Seed of the simulation.
-        samples: Number of observations of the first sensor.
-        segments: Number of straight segments driven.
-        readings_lost: Number of encoder readings that never arrived.
-        distance_driven_m: Distance travelled along all segments [m].
-        odometry: What is known of the wheels; ``sim.sensors.encoder.check_odometry`` checks it.
-        wheels_computed: Whether the readings were computed from an odometry, so that they tell nothing of the wheels.
-        gl_renderer: Name of the renderer of the images.
-        sha256: Checksum of each file, by its path in the folder.
-    """
+    """Metadata of a recording; a writer may add keys of its own."""
 
     model_config = ConfigDict(frozen=True, extra="allow", populate_by_name=True)
 
-    number: int = Field(default=FORMAT, alias="format")
-    source: str = "simulator"
+    number: int = Field(default=FORMAT, alias="format")  # Number of the format
+    source: str = "simulator"  # Where it comes from: ``simulator``, or ``log`` of a robot
+    # Kind of each sensor's observations, by its name; methods learn from the first
     sensors: dict[Annotated[str, Field(pattern=f"^{SENSOR}$")], ObservationKind] = Field(default_factory=dict)
-    settings: dict[str, Any] = Field(default_factory=dict)
-    seed: int | None = None
-    samples: int | None = None
-    segments: int | None = None
-    readings_lost: int = 0
-    distance_driven_m: float | None = None
+    settings: dict[str, Any] = Field(default_factory=dict)  # Settings of the simulation, if there was one
+    seed: int | None = None  # Seed of the simulation
+    samples: int | None = None  # Number of observations of the first sensor
+    segments: int | None = None  # Number of straight segments driven
+    readings_lost: int = 0  # Number of encoder readings that never arrived
+    distance_driven_m: float | None = None  # Distance travelled along all segments [m]
+    # What is known of the wheels; ``sim.sensors.encoder.check_odometry`` checks it
     odometry: dict[str, Any] = Field(default_factory=dict)
+    # Whether the readings were computed from an odometry, so that they tell nothing of the wheels
     wheels_computed: bool = False
-    gl_renderer: str = "none"
-    sha256: dict[str, str] = Field(default_factory=dict)
+    gl_renderer: str = "none"  # Name of the renderer of the images
+    sha256: dict[str, str] = Field(default_factory=dict)  # Checksum of each file, by its path in the folder
 
     @property
     def start_ns(self) -> int:
@@ -103,10 +88,8 @@ STATES = (
     DeploymentSettings(daylight=0.0),
 )
 """Light of consecutive parts of the drive, in turn: as usual, little daylight, lamps off, night."""
-FOLDER = "use"
-"""Folder of the drive in use, in the recording's folder and in that of its parts."""
-NO_TESTS = np.empty((0, 1, 3))
-"""Poses of the test positions of a recording without any."""
+FOLDER = "use"  # Folder of the drive in use, in the recording's folder and in that of its parts
+NO_TESTS = np.empty((0, 1, 3))  # Poses of the test positions of a recording without any
 
 
 def light_part(settings: SimSettings, number: int) -> SimSettings:

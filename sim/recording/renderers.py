@@ -24,21 +24,16 @@ from sim.errors import WorkError
 from sim.processes import start_process, usable_cores
 from sim.settings import SimSettings
 
-DEATHS = 3
-"""Number of times that renderers may die or hang."""
-TRIES = 3
-"""Most attempts at a part whose images differ when they are drawn twice."""
+DEATHS = 3  # Number of times that renderers may die or hang
+TRIES = 3  # Most attempts at a part whose images differ when they are drawn twice
 FLOOR_S, PATIENCE = 10.0, 8.0
 """A worker counts as hung once its silence exceeds FLOOR_S + PATIENCE times the longest silence that ended."""
-BEAT_S = 0.5
-"""Interval between a worker's signs of life, unless an image takes longer."""
+BEAT_S = 0.5  # Interval between a worker's signs of life, unless an image takes longer
 LOOK_S = 1.0
-AHEAD = 2
-"""Parts that a worker has at once: with the next one queued it need not wait for a parent that is driving."""
+AHEAD = 2  # Parts that a worker has at once: with the next one queued it need not wait for a parent that is driving
 QUEUED_BYTES = 100_000
 """Largest part that is queued: sending what the pipe cannot hold would wait until the worker has drawn the last."""
-PER_RENDERER = 500
-"""Images for which it pays to start one more rendering process, which takes as long as drawing them."""
+PER_RENDERER = 500  # Images for which it pays to start one more rendering process, which takes as long as drawing them
 FIX = "deepgps doctor checks the renderer"
 log = logging.getLogger(__name__)
 
@@ -54,29 +49,20 @@ class UnsteadyError(WorkError):
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A set of images that are drawn into one file.
+    """A set of images that are drawn into one file."""
 
-    Attributes:
-        settings: The room and the sensors.
-        states: Full positions of the simulation (n, nq).
-        path: The file.
-        leans: Lean of the camera at each state (n, 2) [rad]; None: it is upright.
-        differed: How often an image of this part came out different when drawn twice.
-    """
-
-    settings: SimSettings
-    states: np.ndarray
-    path: Path
-    leans: np.ndarray | None = None
-    differed: int = 0
+    settings: SimSettings  # The room and the sensors
+    states: np.ndarray  # Full positions of the simulation (n, nq)
+    path: Path  # The file
+    leans: np.ndarray | None = None  # Lean of the camera at each state (n, 2) [rad]; None: it is upright
+    differed: int = 0  # How often an image of this part came out different when drawn twice
 
     def again(self) -> "Part":
         """Return the part with one more difference counted."""
         return replace(self, differed=self.differed + 1)
 
 
-Draw = Callable[[Part, Callable[[], None]], None]
-"""Draws a part and calls the function after each image."""
+Draw = Callable[[Part, Callable[[], None]], None]  # Draws a part and calls the function after each image
 
 
 @dataclass(eq=False)

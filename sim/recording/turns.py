@@ -22,19 +22,12 @@ FILE = "turns.npy"
 
 @dataclass(frozen=True)
 class Turns:
-    """What the robot knows of the turns of a drive, in the order driven.
+    """What the robot knows of the turns of a drive, in the order driven."""
 
-    Attributes:
-        before: Last observation before each turn (T,).
-        image: Turn image taken after it (T,), or -1: the observation of the first reading after it shows that.
-        after: Row of ``reading`` of the first reading after it (T,), in the segment that begins there.
-        kind: Number of its kind in ``KINDS`` (T,).
-    """
-
-    before: np.ndarray
-    image: np.ndarray
-    after: np.ndarray
-    kind: np.ndarray
+    before: np.ndarray  # Last observation before each turn (T,)
+    image: np.ndarray  # Turn image taken after it (T,), or -1: the observation of the first reading after it shows that
+    after: np.ndarray  # Row of ``reading`` of the first reading after it (T,), in the segment that begins there
+    kind: np.ndarray  # Number of its kind in ``KINDS`` (T,)
 
     @property
     def array(self) -> np.ndarray:

@@ -14,8 +14,7 @@ from sim.rooms.mjcf_files import list_files
 from sim.rooms.spec import empty_room
 from sim.settings import TURN_RATE_RPS, DriveSettings, RobotSettings, SimSettings
 
-RAMP_S = 0.5
-"""Time in which a test drive speeds up and slows down [s]."""
+RAMP_S = 0.5  # Time in which a test drive speeds up and slows down [s]
 STRAIGHT_M, LEAST_M = 5.0, 4.0
 """Length of the straight test drive, and what a robot that can be used drives of it at least [m]."""
 

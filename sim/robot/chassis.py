@@ -16,8 +16,7 @@ from sim.rooms.spec import NEAR_M, PREFIX, empty_room, freeze
 from sim.sensors.catalog import SENSORS, list_carried, load
 from sim.settings import DeploymentSettings, SimSettings
 
-AMBIENT = 0.4
-"""Brightness of the ambient light; a room without lamps of its own gets AMBIENT_WITHOUT_LAMPS."""
+AMBIENT = 0.4  # Brightness of the ambient light; a room without lamps of its own gets AMBIENT_WITHOUT_LAMPS
 AMBIENT_WITHOUT_LAMPS = 0.9
 FAR_M = 60.0
 
@@ -83,8 +82,7 @@ def _force_picture(spec: mujoco.MjSpec) -> None:
 
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 _SETTLE_S = 1.0
-LEVEL = 0.999
-"""Smallest cosine of the lean at which a user's own robot comes to rest."""
+LEVEL = 0.999  # Smallest cosine of the lean at which a user's own robot comes to rest
 ON_FLOOR_M, FALLEN_M = 0.01, 1.0
 """Largest height of its origin above the floor at rest, and depth below it from which a robot has fallen [m]."""
 

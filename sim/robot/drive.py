@@ -36,21 +36,16 @@ from sim.robot.motion import (
 from sim.settings import DriveSettings
 
 Ended = Literal["length", "gap", "range", "contact", "stall"]
-TOUCHED = ("contact", "stall")
-"""After these endings the robot is no longer where it took its last sample."""
+TOUCHED = ("contact", "stall")  # After these endings the robot is no longer where it took its last sample
 
 STRAIGHTEN_PER_S = 4.0
 """Gain that keeps the wheel angles equal: difference of the speeds over difference of the angles [1/s]."""
-SEARCHED = 20
-"""Average number of segments in a search."""
-ARC_M, ARC_RADIUS_M = (0.3, 1.5), (0.3, 1.5)
-"""Shortest and longest arc, and its smallest and largest radius [m]."""
+SEARCHED = 20  # Average number of segments in a search
+ARC_M, ARC_RADIUS_M = (0.3, 1.5), (0.3, 1.5)  # Shortest and longest arc, and its smallest and largest radius [m]
 UNCERTAIN_M = 0.12
 """A contact or stall makes the samples over this last distance travelled doubtful: they are dropped [m]."""
-STALL_S = 0.2
-"""Wheels that turn at less than half the commanded speed for this long are blocked [s]."""
-SLIP_M = 0.10
-"""The wheels slip if they roll this far while what is ahead comes no nearer [m]."""
+STALL_S = 0.2  # Wheels that turn at less than half the commanded speed for this long are blocked [s]
+SLIP_M = 0.10  # The wheels slip if they roll this far while what is ahead comes no nearer [m]
 TRIES = 500
 WEDGED = 20
 """When the robot is wedged between two legs, its wheels slip and a full turn barely turns it. It rolls back and tries
@@ -68,29 +63,18 @@ class Sample(NamedTuple):
 
 @dataclass(frozen=True)
 class Segment:
-    """One straight drive.
+    """One straight drive."""
 
-    Attributes:
-        state: Full positions of the simulation at each sample (m, nq), kept for the camera and the ground truth.
-        wheel_angle: Wheel-joint angles at each sample (m, 2): left, right [rad].
-        time: Time of each sample (m,) [s].
-        continues: Whether the first sample is where the last segment ended, before the turn: the same observation.
-        ended: What ended the segment.
-        dropped: Number of samples dropped as doubtful, since the last segment.
-        mode: How to continue.
-        relocated: How often the robot was relocated before this segment.
-        after_arc: Whether it drove an arc before this segment.
-    """
-
+    # Full positions of the simulation at each sample (m, nq), kept for the camera and the ground truth
     state: np.ndarray
-    wheel_angle: np.ndarray
-    time: np.ndarray
-    continues: bool
-    ended: Ended
-    dropped: int
-    mode: DriveMode
-    relocated: int = 0
-    after_arc: bool = False
+    wheel_angle: np.ndarray  # Wheel-joint angles at each sample (m, 2): left, right [rad]
+    time: np.ndarray  # Time of each sample (m,) [s]
+    continues: bool  # Whether the first sample is where the last segment ended, before the turn: the same observation
+    ended: Ended  # What ended the segment
+    dropped: int  # Number of samples dropped as doubtful, since the last segment
+    mode: DriveMode  # How to continue
+    relocated: int = 0  # How often the robot was relocated before this segment
+    after_arc: bool = False  # Whether it drove an arc before this segment
 
     @property
     def pose(self) -> np.ndarray:

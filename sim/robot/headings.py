@@ -14,16 +14,12 @@ from sim.robot.motion import SEEN_M, Robot, look, turn
 from sim.robot.range_finder import REACH_M
 from sim.settings import DriveSettings
 
-CELL_M = 0.1
-"""Side of a cell of the grid of visits [m]."""
-SIDE = 512
-"""Cells along each side of the grid, which repeats: places 51 m apart share a cell."""
+CELL_M = 0.1  # Side of a cell of the grid of visits [m]
+SIDE = 512  # Cells along each side of the grid, which repeats: places 51 m apart share a cell
 NEAR_M = 0.15
 """Places this near to where the robot's middle passed count as visited [m]: about its radius and half a cell."""
-NEVER_M = 10_000.0
-"""How long ago a place that was never visited counts as visited [m]: longer than most drives."""
-START_M = 0.5
-"""What stopping, turning and starting costs, as a distance [m]."""
+NEVER_M = 10_000.0  # How long ago a place that was never visited counts as visited [m]: longer than most drives
+START_M = 0.5  # What stopping, turning and starting costs, as a distance [m]
 
 
 class Visits:
@@ -104,10 +100,8 @@ class Visits:
         return wheel_motion(self._angle, self._body)[1]
 
 
-RISE_M = 0.8
-"""Another part of the room begins where the clear distance to the side grows by this between two looks [m]."""
-NEAR_RISE_M = 0.1
-"""A place to turn in begins where the clear distance to the side grows by this [m]."""
+RISE_M = 0.8  # Another part of the room begins where the clear distance to the side grows by this between two looks [m]
+NEAR_RISE_M = 0.1  # A place to turn in begins where the clear distance to the side grows by this [m]
 EVERY_M = 0.015
 """Distance travelled between two looks [m]: small enough for an entrance with a few centimetres to spare."""
 
@@ -144,18 +138,14 @@ Mode = Literal["chance", "enter", "search"]
 
 SHARES = (1.0, 0.5, 0.25, 0.125)
 """In a narrow place the robot accepts these fractions of SHORTEST_M and of the stopping distance, in order."""
-STOP_DISTANCE_M = 0.04
-"""The robot stops when a range ray shows less room than this in front of its body [m]."""
+STOP_DISTANCE_M = 0.04  # The robot stops when a range ray shows less room than this in front of its body [m]
 CAUTION = (1.0, 0.5, 0.25, 0.12, 0.06)
 """Fractions of the turn rate at which the robot looks for a clear heading, tried in order."""
 FURTHER_RAD = 0.3
 """After the first clear heading the robot turns on by up to this [rad], so as not to graze what blocked it."""
-SHORTEST_M = 0.16
-"""A heading is accepted when at least this distance is clear ahead [m]."""
-HEADINGS = 12
-"""Random headings among which the robot chooses."""
-TOWARDS_RAD = 0.6 * np.pi
-"""To search, the robot turns by this to one side, then back until the path is clear [rad]."""
+SHORTEST_M = 0.16  # A heading is accepted when at least this distance is clear ahead [m]
+HEADINGS = 12  # Random headings among which the robot chooses
+TOWARDS_RAD = 0.6 * np.pi  # To search, the robot turns by this to one side, then back until the path is clear [rad]
 GRAZE_RAD = 0.05
 """In a search the robot turns on past the first clear heading by only this at most [rad], so that it grazes walls."""
 

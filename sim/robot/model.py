@@ -18,8 +18,7 @@ TIMESTEP_S, CONTROL_PERIOD_S = 0.005, 0.04
 
 RADIUS_M = 0.105
 """Radius of the round body around the middle of the wheel axle [m] (OpenCR turtlebot3_burger.h: ROBOT_RADIUS)."""
-BODY_HEIGHT_M = 0.19
-"""Top of the body, where the mast begins [m] (e-Manual: 192 mm)."""
+BODY_HEIGHT_M = 0.19  # Top of the body, where the mast begins [m] (e-Manual: 192 mm)
 WHEEL_RADIUS_M = 0.03299
 """Effective wheel radius [m]: distance travelled over mean wheel angle, from sim.robot.calibrate (nominal 0.033)."""
 TRACK_M = 0.16
@@ -31,19 +30,12 @@ _LENS_M = CameraSettings().height_m  # as in robot.xml
 
 @dataclass(frozen=True)
 class Body:
-    """Dimensions of a robot.
+    """Dimensions of a robot."""
 
-    Attributes:
-        radius_m: Radius of a round body around the middle of the wheel axle, in which the robot fits [m].
-        height_m: Its full height, floor to lens or body, whichever is higher [m].
-        wheel_radius_m: Effective wheel radius [m].
-        track_m: Effective track [m].
-    """
-
-    radius_m: float
-    height_m: float
-    wheel_radius_m: float
-    track_m: float
+    radius_m: float  # Radius of a round body around the middle of the wheel axle, in which the robot fits [m]
+    height_m: float  # Its full height, floor to lens or body, whichever is higher [m]
+    wheel_radius_m: float  # Effective wheel radius [m]
+    track_m: float  # Effective track [m]
 
 
 def describe_body(camera: CameraSettings) -> Body:

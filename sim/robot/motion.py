@@ -10,14 +10,11 @@ from sim.settings import TURN_RATE_RPS, DriveSettings
 
 ACCELERATION_MPS2 = 0.5
 TURN_ACCELERATION_RPS2 = 6.0
-REST_S = 0.12
-"""The robot pauses this long after a stop, until it no longer rocks [s]."""
-PATIENCE_TURNS = 4
-"""A turn is given up if it takes longer than this many full turns would."""
+REST_S = 0.12  # The robot pauses this long after a stop, until it no longer rocks [s]
+PATIENCE_TURNS = 4  # A turn is given up if it takes longer than this many full turns would
 CLOSE_RAD, CLOSE_M = 0.01, 0.002
 """The robot stops when it is nearer than this to its goal: a controller that acts once per period can do no better."""
-SEEN_M = 0.01
-"""Ranges that differ by less than this count as unchanged [m]."""
+SEEN_M = 0.01  # Ranges that differ by less than this count as unchanged [m]
 AHEAD_M = 0.3
 """On an arc this much stays clear straight ahead [m]: the robot looks where it heads, and turns as it drives."""
 BACK_M = 0.06

@@ -48,15 +48,11 @@ def _support(model: mujoco.MjModel, data: mujoco.MjData, geom: int, direction: n
     return direction @ data.geom_xpos[geom] + reach
 
 
-EXACT_M = 0.001
-"""Wheels and camera may be this far from where they must be [m]."""
-BUMPER_M = 0.045
-"""The bumper's sensor reaches this far beyond the body [m]."""
-LOWEST_M, HIGHEST_M = 0.005, 2.0
-"""It begins above what rolls on the floor, and ends above any robot [m]."""
+EXACT_M = 0.001  # Wheels and camera may be this far from where they must be [m]
+BUMPER_M = 0.045  # The bumper's sensor reaches this far beyond the body [m]
+LOWEST_M, HIGHEST_M = 0.005, 2.0  # It begins above what rolls on the floor, and ends above any robot [m]
 PRIORITY = 2
-UPWARD = (0.0, 0.5**0.5, 0.5**0.5, 0.0)
-"""Orientation of the camera that dm_env shows, whose axes are 0 1 0 and 1 0 0."""
+UPWARD = (0.0, 0.5**0.5, 0.5**0.5, 0.0)  # Orientation of the camera that dm_env shows, whose axes are 0 1 0 and 1 0 0
 _SERVO = ("gaintype", "gainprm", "biastype", "biasprm", "forcelimited", "forcerange", "ctrllimited", "ctrlrange")
 
 

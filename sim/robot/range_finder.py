@@ -14,31 +14,21 @@ import numpy as np
 from sim.robot.model import RADIUS_M
 from sim.rooms.spec import compile_solid
 
-REACH_M = 3.5
-"""Longest distance measured [m] (LDS-01: 3.5 m); a ray that meets nothing nearer reads this."""
-LOWEST_M = 0.015
-"""Height of the lowest fan [m]: it sees the foot of a lamp, but not a rug."""
-HIGHEST_GAP_M = 0.25
-"""Largest distance between two fans [m]."""
-SIDE_M = 0.008
-"""What is further to the side of the body than this does not count as ahead [m]."""
+REACH_M = 3.5  # Longest distance measured [m] (LDS-01: 3.5 m); a ray that meets nothing nearer reads this
+LOWEST_M = 0.015  # Height of the lowest fan [m]: it sees the foot of a lamp, but not a rug
+HIGHEST_GAP_M = 0.25  # Largest distance between two fans [m]
+SIDE_M = 0.008  # What is further to the side of the body than this does not count as ahead [m]
 
 
 class Fan(NamedTuple):
-    """The rays of a level fan of a robot of some radius.
+    """The rays of a level fan of a robot of some radius."""
 
-    Attributes:
-        angle: From straight ahead (n,) [rad]: for the testbed's own robot 19 mm apart at 0.3 m in the middle; the
-            others cover the sides.
-        cos: Their cosines (n,).
-        sin: Their sines (n,).
-        leaves_m: Beyond this distance a ray has left the strip that the body sweeps (n,) [m].
-    """
-
+    # From straight ahead (n,) [rad]: for the testbed's own robot 19 mm apart at 0.3 m in the middle; the others cover
+    # the sides
     angle: np.ndarray
-    cos: np.ndarray
-    sin: np.ndarray
-    leaves_m: np.ndarray
+    cos: np.ndarray  # Their cosines (n,)
+    sin: np.ndarray  # Their sines (n,)
+    leaves_m: np.ndarray  # Beyond this distance a ray has left the strip that the body sweeps (n,) [m]
 
 
 @lru_cache
@@ -51,8 +41,7 @@ def lay_fan(radius_m: float) -> Fan:
     return Fan(angle, cos, sin, (radius_m + SIDE_M) / np.maximum(np.abs(sin), 1e-9))
 
 
-ANGLE = lay_fan(RADIUS_M).angle
-"""Angles of the rays of the testbed's own robot [rad]."""
+ANGLE = lay_fan(RADIUS_M).angle  # Angles of the rays of the testbed's own robot [rad]
 
 
 class RangeFinder:

@@ -108,10 +108,8 @@ def write_robot(log: Path, settings: SimSettings) -> None:
     write_lines(robot_file(log), ROBOT_HEAD + yaml.safe_dump(values, sort_keys=False))
 
 
-PARTS = re.compile(r"log\.json|picture-\d+\.npz")
-"""Names of the files in the folder of an unfinished log."""
-PICTURE_BYTES = 40_000
-"""About the size of a picture."""
+PARTS = re.compile(r"log\.json|picture-\d+\.npz")  # Names of the files in the folder of an unfinished log
+PICTURE_BYTES = 40_000  # About the size of a picture
 log = logging.getLogger(__name__)
 
 

@@ -136,25 +136,17 @@ def _turn_about_z(yaw: float) -> Any:
 MAGIC = b"\x89MCAP0\r\n"
 LIBRARY = "deepgps "
 """Beginning of the name of the writing program in the header of our files; a key of what they hold follows."""
-HEAD = 256
-"""Bytes at the beginning of a file that hold its header."""
-EVERY = 2000
-"""Messages between two reports of progress."""
+HEAD = 256  # Bytes at the beginning of a file that hold its header
+EVERY = 2000  # Messages between two reports of progress
 
 
 @dataclass(frozen=True)
 class Topic:
-    """The messages of one topic.
+    """The messages of one topic."""
 
-    Attributes:
-        name: Its name.
-        logged: When each message was recorded (n,) int64 [ns since 1970].
-        make: Makes a message by its number.
-    """
-
-    name: str
-    logged: np.ndarray
-    make: Callable[[int], Any]
+    name: str  # Its name
+    logged: np.ndarray  # When each message was recorded (n,) int64 [ns since 1970]
+    make: Callable[[int], Any]  # Makes a message by its number
 
 
 def check_file(path: Path) -> None:

@@ -27,25 +27,18 @@ from sim.rooms.spec import PREFIX
 from sim.sensors.camera.fisheye import Fisheye
 from sim.settings import DeploymentSettings, SimSettings
 
-EPOCH_NS = 1_767_225_600 * 10**9
-"""What the recorder's clock reads when the drive begins: 1 January 2026, 0:00 UTC [ns]."""
-OFFSET_S = (1.0, 5.0)
-"""Least and largest difference between the clocks when the drive begins [s]."""
+EPOCH_NS = 1_767_225_600 * 10**9  # What the recorder's clock reads when the drive begins: 1 January 2026, 0:00 UTC [ns]
+OFFSET_S = (1.0, 5.0)  # Least and largest difference between the clocks when the drive begins [s]
 DRIFT = (20e-6, 50e-6)
 """Least and largest relative difference of their rates (quartz oscillators have some 20 to 50 millionths)."""
 
 
 @dataclass(frozen=True)
 class Clock:
-    """A computer's clock.
+    """A computer's clock."""
 
-    Attributes:
-        offset_s: How far it is ahead of the recorder's when the drive begins [s].
-        drift: How much faster it runs than the simulation's time, as a fraction.
-    """
-
-    offset_s: float = 0.0
-    drift: float = 0.0
+    offset_s: float = 0.0  # How far it is ahead of the recorder's when the drive begins [s]
+    drift: float = 0.0  # How much faster it runs than the simulation's time, as a fraction
 
     def read(self, time_s: np.ndarray) -> np.ndarray:
         """What it reads (...) int64 [ns since 1970] at times of the simulation (...) [s]."""
@@ -90,21 +83,13 @@ class TracedWorld(RoomWorld):
 
 @dataclass(frozen=True)
 class Stretch:
-    """A stretch of the drive, as long as a recording's chunk.
+    """A stretch of the drive, as long as a recording's chunk."""
 
-    Attributes:
-        begun: Time at its beginning [s].
-        time: Time after each step of the physics (n,) [s].
-        state: Full positions then (n, nq).
-        observations: Number of the recording's observations up to its end.
-        wheel_angle: Wheel angles at the recording's readings in it (r, 2) [rad].
-    """
-
-    begun: float
-    time: np.ndarray
-    state: np.ndarray
-    observations: int
-    wheel_angle: np.ndarray
+    begun: float  # Time at its beginning [s]
+    time: np.ndarray  # Time after each step of the physics (n,) [s]
+    state: np.ndarray  # Full positions then (n, nq)
+    observations: int  # Number of the recording's observations up to its end
+    wheel_angle: np.ndarray  # Wheel angles at the recording's readings in it (r, 2) [rad]
 
     def find(self, clock: Clock, period_s: float) -> np.ndarray:
         """Rows (m,) of the states when a timer of this period fires by a computer's clock."""
@@ -129,27 +114,16 @@ JOINT_S, PICTURE_S, RAY_S, TRUTH_S = 0.05, 0.1, 0.2, 0.05
 
 @dataclass(frozen=True)
 class Observed:
-    """Readings with their times in the simulation [s].
+    """Readings with their times in the simulation [s]."""
 
-    Attributes:
-        joint_time: Times of the wheel angles (J,).
-        joint_angle: Left and right wheel angle (J, 2) [rad].
-        picture_time: Times of the pictures (P,).
-        picture_state: Full positions at them (P, nq).
-        ray_time: Times of the rays (Q,).
-        ray_m: Distance to what is nearest in each direction, at any height of the robot (Q, K) [m].
-        truth_time: Times of the true poses (T,).
-        truth_pose: True poses (T, 3) x, y [m], yaw [rad].
-    """
-
-    joint_time: np.ndarray
-    joint_angle: np.ndarray
-    picture_time: np.ndarray
-    picture_state: np.ndarray
-    ray_time: np.ndarray
-    ray_m: np.ndarray
-    truth_time: np.ndarray
-    truth_pose: np.ndarray
+    joint_time: np.ndarray  # Times of the wheel angles (J,)
+    joint_angle: np.ndarray  # Left and right wheel angle (J, 2) [rad]
+    picture_time: np.ndarray  # Times of the pictures (P,)
+    picture_state: np.ndarray  # Full positions at them (P, nq)
+    ray_time: np.ndarray  # Times of the rays (Q,)
+    ray_m: np.ndarray  # Distance to what is nearest in each direction, at any height of the robot (Q, K) [m]
+    truth_time: np.ndarray  # Times of the true poses (T,)
+    truth_pose: np.ndarray  # True poses (T, 3) x, y [m], yaw [rad]
 
 
 def observe(world: TracedWorld, stretch: Stretch, base: Clock) -> Observed:
@@ -177,8 +151,7 @@ def join(parts: Sequence[Observed]) -> Observed:
 
 ROWS, COLUMNS = 480, 640
 """Size of the image (TurtleBot3: 640 x 480); the round picture is as high and in its middle [px]."""
-FACE_PX = 160
-"""Side of the faces that it is drawn from: half of what would resolve each of its pixels, for speed."""
+FACE_PX = 160  # Side of the faces that it is drawn from: half of what would resolve each of its pixels, for speed
 QUALITY = 85
 PER_PART = 256
 JPEG, END = "jpeg", "end"

@@ -12,11 +12,9 @@ from sim.settings import DeploymentSettings
 MOVABLE = ("armchair", "barrel", "chair", "coat_stand", "coffee_table", "crates", "floor_lamp", "office_chair")
 MOVABLE += ("plant", "stool")
 """Pieces that a person would push aside."""
-STEP_M = 0.05
-"""Spacing of collision checks along the path of a pushed piece [m]."""
+STEP_M = 0.05  # Spacing of collision checks along the path of a pushed piece [m]
 TRIES = 24
-GAMMA = 2.2
-"""Colours in the simulator are gamma-encoded: about the 2.2th root of light (IEC 61966-2-1)."""
+GAMMA = 2.2  # Colours in the simulator are gamma-encoded: about the 2.2th root of light (IEC 61966-2-1)
 
 
 def change_room(room: mujoco.MjSpec, deployment: DeploymentSettings) -> mujoco.MjSpec:

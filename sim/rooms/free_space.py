@@ -7,8 +7,7 @@ from scipy import ndimage
 from sim.errors import InputError
 from sim.geometry import FreeSpace
 
-CLEARANCE_M = 0.005
-"""The wheels climb over anything lower than this [m]: the floor itself, rugs, thresholds."""
+CLEARANCE_M = 0.005  # The wheels climb over anything lower than this [m]: the floor itself, rugs, thresholds
 LARGEST_CELLS = 4_000_000
 COARSEST = 32
 START = "start"

@@ -13,10 +13,8 @@ from sim.rooms.placement import Room, centre, hang
 
 POSTS = 3
 POST_M, POST_HEIGHT_M = 0.26, 1.3
-POST_TAGS_M = (0.3, 0.72)
-"""Heights of the tags on each face of a post [m]."""
-WALL_TAGS_M = (0.22, 1.25)
-"""Lowest and highest centre of a tag on a wall [m]."""
+POST_TAGS_M = (0.3, 0.72)  # Heights of the tags on each face of a post [m]
+WALL_TAGS_M = (0.22, 1.25)  # Lowest and highest centre of a tag on a wall [m]
 PLATE_THICK_M = 0.006
 TRIES = 40
 

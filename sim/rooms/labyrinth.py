@@ -6,13 +6,10 @@ from sim.rooms.furniture import textures
 from sim.rooms.furniture.primitives import box
 from sim.rooms.placement import Finish, Room, surface
 
-CELL_M, WALL_M = 1.0, 0.08
-"""Nominal side of a cell, and thickness of the walls [m]."""
-COLUMNS, ROWS = (7, 11), (5, 9)
-"""Fewest and most cells along x and y of a labyrinth without a size of its own."""
+CELL_M, WALL_M = 1.0, 0.08  # Nominal side of a cell, and thickness of the walls [m]
+COLUMNS, ROWS = (7, 11), (5, 9)  # Fewest and most cells along x and y of a labyrinth without a size of its own
 TEXTURES = (2, 4)
-LOOPS = (0.15, 0.3)
-"""Range of the share of walls that are taken out, so that there are ways round."""
+LOOPS = (0.15, 0.3)  # Range of the share of walls that are taken out, so that there are ways round
 FINISHES: tuple[Finish, ...] = ("brick", "wallpaper", "boards", "tile", "plaster")
 Cell = tuple[int, int]
 

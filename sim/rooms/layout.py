@@ -16,16 +16,13 @@ from sim.rooms.outline import Wall, slabs
 CELL_M = 0.05
 SPARE = 0.41
 """Part of a cell by which a room may be larger than its cells: furniture against a wall is 2 cm away from it."""
-PATH_RADIUS_M = 0.3
-"""Half the width that a person needs to walk."""
+PATH_RADIUS_M = 0.3  # Half the width that a person needs to walk
 CUT_OFF_SHARE = 0.1
 """Walkable floor that is cut off from the door may be at most this fraction of the floor that is not."""
-GAP_CELLS = 2
-"""Gaps between pieces may be at most this wide..."""
+GAP_CELLS = 2  # Gaps between pieces may be at most this wide..
 BROOM_CELLS = 7
 """...or at least this wide, enough for a broom; floor behind a gap in between counts as an unswept region."""
-NEAR_WALL_M = 0.3
-"""A piece nearer to a wall than this hides what hangs there."""
+NEAR_WALL_M = 0.3  # A piece nearer to a wall than this hides what hangs there
 
 
 class Pose(NamedTuple):

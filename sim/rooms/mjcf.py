@@ -13,8 +13,7 @@ from sim.rooms.spec import PREFIX, make_static
 FLOOR = "floor"
 _SUPPORT_M, _BELOW_M = 0.001, 0.002
 """How far from z = 0 the top of a floor may be, and how far below z = 0 the plane under boxes is [m]."""
-SLOW_TRIANGLES = 100_000
-"""Number of triangles above which a warning says that the room draws slowly."""
+SLOW_TRIANGLES = 100_000  # Number of triangles above which a warning says that the room draws slowly
 
 
 def load_room(path: Path) -> mujoco.MjSpec:

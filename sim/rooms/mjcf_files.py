@@ -21,11 +21,9 @@ import numpy as np
 from sim.errors import InputError, one_line, shorten
 
 Kind = Literal["room", "robot"]
-CPU_S, LONGEST_S = 10, 60.0
-"""Time that a trial may compute, and that it may take on a busy machine [s]."""
+CPU_S, LONGEST_S = 10, 60.0  # Time that a trial may compute, and that it may take on a busy machine [s]
 MEMORY_BYTES = 2 * 1024**3
-FARTHEST_M = 1e10
-"""Largest coordinate and size of a geom [m]."""
+FARTHEST_M = 1e10  # Largest coordinate and size of a geom [m]
 _FOLDERS = ("meshdir", "texturedir", "assetdir")
 _REFUSED = {"plugin": "plugins", "extension": "extensions", "flex": "flexible bodies", "flexcomp": "flexible bodies"}
 

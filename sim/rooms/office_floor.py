@@ -19,15 +19,11 @@ from sim.rooms.placement import Room, hang, in_a_corner, near, paper_wall, stand
 
 WALL_M, CORRIDOR_M, SIDE_M = 0.1, 1.6, 1.4
 """Thickness of the walls inside, and widths of the corridor and of the side corridor [m]."""
-OFFICE_M = 3.6
-"""Usual width of an office [m]."""
+OFFICE_M = 3.6  # Usual width of an office [m]
 DOORWAY_M, DOORWAY_HEIGHT_M, FRAME_M = 0.9, 2.05, 0.07
-CLEAR_M = 0.6
-"""Floor before and behind a doorway that stays open [m]."""
-JOINED = 0.4
-"""Probability of a doorway between two neighbouring offices."""
-SHORTEST_M = 0.3
-"""Parts of walls shorter than this carry nothing [m]."""
+CLEAR_M = 0.6  # Floor before and behind a doorway that stays open [m]
+JOINED = 0.4  # Probability of a doorway between two neighbouring offices
+SHORTEST_M = 0.3  # Parts of walls shorter than this carry nothing [m]
 
 
 @dataclass(frozen=True)
@@ -48,21 +44,13 @@ class Space:
 
 @dataclass(frozen=True)
 class Partition:
-    """A wall inside, from ``low`` to ``high`` along one axis and ``at`` a place on the other, with doorways [m].
+    """A wall inside, from ``low`` to ``high`` along one axis and ``at`` a place on the other, with doorways [m]."""
 
-    Attributes:
-        axis: 0: along x; 1: along y.
-        at: Middle of its thickness.
-        low: Where it begins.
-        high: Where it ends.
-        doorways: Middles of its doorways.
-    """
-
-    axis: int
-    at: float
-    low: float
-    high: float
-    doorways: tuple[float, ...] = ()
+    axis: int  # 0: along x; 1: along y
+    at: float  # Middle of its thickness
+    low: float  # Where it begins
+    high: float  # Where it ends
+    doorways: tuple[float, ...] = ()  # Middles of its doorways
 
     def place(self, along: float, aside: float = 0.0) -> np.ndarray:
         """The point (2,) at a distance along it and aside from its middle [m]."""

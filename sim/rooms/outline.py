@@ -8,23 +8,17 @@ import numpy as np
 
 from sim.settings import RoomShape
 
-DIVIDER_M, DOORWAY_M = 0.3, 0.9
-"""Thickness of the wall between two rooms, and width of the doorway in it [m]."""
+DIVIDER_M, DOORWAY_M = 0.3, 0.9  # Thickness of the wall between two rooms, and width of the doorway in it [m]
 
 
 @dataclass(frozen=True, eq=False)
 class Wall:
-    """One straight wall; the room is on the left going from start to end.
+    """One straight wall; the room is on the left going from start to end."""
 
-    Attributes:
-        start: First corner (2,) [m].
-        end: Last corner (2,) [m].
-        taken: Rectangles (left, right, bottom, top) [m] that are covered, in the wall's own frame: x runs along the
-            wall from its middle, as in the frame of a piece with its back to the wall.
-    """
-
-    start: np.ndarray
-    end: np.ndarray
+    start: np.ndarray  # First corner (2,) [m]
+    end: np.ndarray  # Last corner (2,) [m]
+    # Rectangles (left, right, bottom, top) [m] that are covered, in the wall's own frame: x runs along the wall from
+    # its middle, as in the frame of a piece with its back to the wall
     taken: list[tuple[float, float, float, float]] = field(default_factory=list)
 
     @cached_property

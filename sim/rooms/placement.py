@@ -17,37 +17,25 @@ from sim.rooms.outline import Wall
 Made = TypeVar("Made")
 Piece = Callable[[mujoco.MjsBody, np.random.Generator, Look], Footprint]
 Hanging = Callable[[mujoco.MjsBody, np.random.Generator, Look], tuple[float, float, float]]
-NEIGHBOUR_M = 0.58
-"""Distance between the middles of neighbouring chairs, which leaves no dead-end gap between them [m]."""
-WALK_M = 0.5
-"""Free floor on each side of a free-standing piece, where the room allows it [m]."""
+NEIGHBOUR_M = 0.58  # Distance between the middles of neighbouring chairs, which leaves no dead-end gap between them [m]
+WALK_M = 0.5  # Free floor on each side of a free-standing piece, where the room allows it [m]
 Finish = Literal["plaster", "wallpaper", "brick", "tile", "boards"]
 Overhead = Callable[[mujoco.MjsBody, np.random.Generator, Look], tuple[float, float]]
 
 
 @dataclass(frozen=True)
 class Room:
-    """A room while it is being furnished.
+    """A room while it is being furnished."""
 
-    Attributes:
-        spec: Spec that the room is built into.
-        rng: The room's only random stream.
-        look: The room's materials.
-        layout: What is where.
-        height_m: Height from the floor to the ceiling [m].
-        wall_bodies: One body for each wall of the layout; its hangings are children of the body.
-        names: Number of the last body of each name.
-        twins: In a room whose places look alike, the first piece of each name, which later ones repeat; None: all
-            pieces differ.
-    """
-
-    spec: mujoco.MjSpec
-    rng: np.random.Generator
-    look: Look
-    layout: Layout
-    height_m: float
-    wall_bodies: list[mujoco.MjsBody]
-    names: dict[str, int] = field(default_factory=dict)
+    spec: mujoco.MjSpec  # Spec that the room is built into
+    rng: np.random.Generator  # The room's only random stream
+    look: Look  # The room's materials
+    layout: Layout  # What is where
+    height_m: float  # Height from the floor to the ceiling [m]
+    wall_bodies: list[mujoco.MjsBody]  # One body for each wall of the layout; its hangings are children of the body
+    names: dict[str, int] = field(default_factory=dict)  # Number of the last body of each name
+    # In a room whose places look alike, the first piece of each name, which later ones repeat; None: all pieces
+    # differ
     twins: dict[str, Callable[..., Any]] | None = None
 
     @property
@@ -287,10 +275,8 @@ def _longest_run(layout: Layout, place: float, axis: int) -> tuple[float, float]
 
 
 PX_PER_M = 60
-MOTIF_M, PANEL_M = 0.5, 0.6
-"""Periods of the wallpaper and of the ceiling [m]."""
-LAMPS_M = 2.4
-"""Usual distance between lamps [m]."""
+MOTIF_M, PANEL_M = 0.5, 0.6  # Periods of the wallpaper and of the ceiling [m]
+LAMPS_M = 2.4  # Usual distance between lamps [m]
 
 
 def paper_wall(room: Room, size_m: tuple[float, float]) -> str:

@@ -205,26 +205,16 @@ def concrete(rng: np.random.Generator) -> np.ndarray:
 
 @dataclass(frozen=True)
 class RoomPlan:
-    """A kind of room.
+    """A kind of room."""
 
-    Attributes:
-        size_m: Width, depth and height [m].
-        finishes: Finishes of the walls, in turn.
-        furnish: Furnishes the empty room: all that is on the floor or on walls.
-        floor: Draws the floor's texture.
-        finish_ceiling: Adds lamps and whatever else is on the ceiling.
-        wooden_ceiling: Whether half of the ceilings, at random, are of boards.
-        panelled: Whether the ceiling consists of equal panels.
-        draw_size: Draws width and depth [m] of a room whose settings give none; None: those of ``size_m``.
-    """
-
-    size_m: tuple[float, float, float]
-    finishes: tuple[Finish, ...]
-    furnish: Callable[[Room], None]
-    floor: Callable[[np.random.Generator], np.ndarray] = wooden_floor
-    finish_ceiling: Callable[[Room], None] = lamps_and_beams
-    wooden_ceiling: bool = False
-    panelled: bool = False
+    size_m: tuple[float, float, float]  # Width, depth and height [m]
+    finishes: tuple[Finish, ...]  # Finishes of the walls, in turn
+    furnish: Callable[[Room], None]  # Furnishes the empty room: all that is on the floor or on walls
+    floor: Callable[[np.random.Generator], np.ndarray] = wooden_floor  # Draws the floor's texture
+    finish_ceiling: Callable[[Room], None] = lamps_and_beams  # Adds lamps and whatever else is on the ceiling
+    wooden_ceiling: bool = False  # Whether half of the ceilings, at random, are of boards
+    panelled: bool = False  # Whether the ceiling consists of equal panels
+    # Draws width and depth [m] of a room whose settings give none; None: those of ``size_m``
     draw_size: Callable[[np.random.Generator], tuple[float, float]] | None = None
 
 

@@ -17,57 +17,38 @@ Measure = Callable[[np.ndarray], np.ndarray]
 
 
 class Opened(NamedTuple):
-    """A sensor that is ready to observe.
+    """A sensor that is ready to observe."""
 
-    Attributes:
-        sense: (state (nq,), lean of the fisheye camera (2,) [rad] or None) -> the ideal observation.
-        renderer: Name of the OpenGL renderer.
-    """
-
+    # (state (nq,), lean of the fisheye camera (2,) [rad] or None) -> the ideal observation
     sense: Callable[[np.ndarray, np.ndarray | None], np.ndarray]
-    renderer: str = "none"
+    renderer: str = "none"  # Name of the OpenGL renderer
 
 
 class Measures(NamedTuple):
-    """What a sensor makes of ideal observations in each part of a recording; None: they stay ideal.
+    """What a sensor makes of ideal observations in each part of a recording; None: they stay ideal."""
 
-    Attributes:
-        drive: For the observations of the drive.
-        test: For those at test positions.
-        turn: For those after turns in place.
-    """
-
-    drive: Measure | None = None
-    test: Measure | None = None
-    turn: Measure | None = None
+    drive: Measure | None = None  # For the observations of the drive
+    test: Measure | None = None  # For those at test positions
+    turn: Measure | None = None  # For those after turns in place
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """The record of a sensor. Functions are named "module:function", with modules from ``sim``.
+    """The record of a sensor. Functions are named "module:function", with modules from ``sim``."""
 
-    Attributes:
-        title: Its name in the viewer.
-        kind: Kind of its observations.
-        carried: Settings -> whether the robot has it.
-        size: Settings -> bytes of one observation.
-        open: (settings, function that makes the compiled scene) -> ``Opened``; only sensors in a room have it.
-        kept: Settings -> whether a recording keeps its observations.
-        renders: Whether it needs OpenGL.
-        mount: (robot's model, settings) -> None; puts it on the robot. None: the robot's file has it, or it needs none.
-        make_measures: (settings, seed) -> ``Measures``. None: observations are always ideal.
-        extract: Observations (n, ...) -> a dataclass of arrays found in them, which a part's file holds as well.
-    """
-
-    title: str
-    kind: ObservationKind
-    carried: Callable[[SimSettings], bool]
-    size: Callable[[SimSettings], int]
+    title: str  # Its name in the viewer
+    kind: ObservationKind  # Kind of its observations
+    carried: Callable[[SimSettings], bool]  # Settings -> whether the robot has it
+    size: Callable[[SimSettings], int]  # Settings -> bytes of one observation
+    # (settings, function that makes the compiled scene) -> ``Opened``; only sensors in a room have it
     open: str | None = None
+    # Settings -> whether a recording keeps its observations
     kept: Callable[[SimSettings], bool] = lambda settings: True
-    renders: bool = False
+    renders: bool = False  # Whether it needs OpenGL
+    # (robot's model, settings) -> None; puts it on the robot. None: the robot's file has it, or it needs none
     mount: str | None = None
-    make_measures: str | None = None
+    make_measures: str | None = None  # (settings, seed) -> ``Measures``. None: observations are always ideal
+    # Observations (n, ...) -> a dataclass of arrays found in them, which a part's file holds as well
     extract: str | None = None
 
 

@@ -47,37 +47,26 @@ def find_top(low: np.ndarray, top: np.ndarray, high: np.ndarray) -> np.ndarray:
     return np.where(bend < 0.0, (low - high) / (2.0 * np.where(bend < 0.0, bend, -1.0)), 0.0)
 
 
-FINER = 16
-"""Samples of the correlation in a sector."""
-LEAST_WEIGHT = 1e-3
-"""Hypotheses with a smaller weight are left out."""
+FINER = 16  # Samples of the correlation in a sector
+LEAST_WEIGHT = 1e-3  # Hypotheses with a smaller weight are left out
 LEAST_CONTRAST = 1e-6
 """An image whose variance is a smaller part of the mean square, after filtering, shows no direction."""
 MATCH_FLOOR = 1e-3
 """Unexplained part of the energy that two images of one place have at least: steps of brightness and sampling."""
-AHEAD_RAD = np.radians(25.0)
-"""How far from straight ahead or behind a sector still tells a segment's heading [rad]."""
-LASTING = 6.0
-"""Images after which the errors of consecutive turns on a segment have changed."""
-CHUNK = 32
-"""Pairs that are compared at once, so that they fit into the processor's cache."""
+AHEAD_RAD = np.radians(25.0)  # How far from straight ahead or behind a sector still tells a segment's heading [rad]
+LASTING = 6.0  # Images after which the errors of consecutive turns on a segment have changed
+CHUNK = 32  # Pairs that are compared at once, so that they fit into the processor's cache
 
 
 @dataclass(frozen=True)
 class Hypotheses:
-    """Hypotheses of the angle turned between P pairs, the likeliest first; at most K for a pair, the others NaN.
+    """Hypotheses of the angle turned between P pairs, the likeliest first; at most K for a pair, the others NaN."""
 
-    Attributes:
-        angle: Angle turned to the left (P, K) [rad]: from -pi to pi, or with whole turns where wheels give them.
-        std: Standard deviation of each angle (P, K) [rad].
-        weight: Probability of each hypothesis (P, K): a pair's add up to 1, or to 0 where it has none.
-        lean: Lean of the second camera against the first, to the second's right and forward (P, K, 2) [rad].
-    """
-
+    # Angle turned to the left (P, K) [rad]: from -pi to pi, or with whole turns where wheels give them
     angle: np.ndarray
-    std: np.ndarray
-    weight: np.ndarray
-    lean: np.ndarray
+    std: np.ndarray  # Standard deviation of each angle (P, K) [rad]
+    weight: np.ndarray  # Probability of each hypothesis (P, K): a pair's add up to 1, or to 0 where it has none
+    lean: np.ndarray  # Lean of the second camera against the first, to the second's right and forward (P, K, 2) [rad]
 
 
 def find_turns(first: np.ndarray, second: np.ndarray, lens: Lens) -> Hypotheses:
@@ -234,10 +223,8 @@ def _pack(count: int, pair: np.ndarray, found: np.ndarray) -> Hypotheses:
     return Hypotheses(angle, std, share, lean)
 
 
-HORIZON = 0.1
-"""Cosine of the zenith angle within which rings count as at the camera's height."""
-ROUNDS = 12
-"""Reweighted solutions: each is exact to second order, and each leaves more of the outliers out."""
+HORIZON = 0.1  # Cosine of the zenith angle within which rings count as at the camera's height
+ROUNDS = 12  # Reweighted solutions: each is exact to second order, and each leaves more of the outliers out
 
 
 def compare_at_horizon(

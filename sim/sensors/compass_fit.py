@@ -16,20 +16,14 @@ from scipy import fft
 
 from sim.sensors.camera.lens import Lens, polar_rays
 
-CUTOFF = 0.31
-"""Above this many cycles per sector, aliasing dominates: the filter is exp(-(k / (CUTOFF sectors))^2)."""
-SMOOTH = 6.0
-"""Slow changes of light around the circle are suppressed by k / (k + SMOOTH), k in cycles per turn."""
-BLOCKS = 32
-"""Errors of neighbouring sectors are correlated, within about this fraction of the circle."""
-FLOOR = 0.01
-"""Least standard deviation, in sectors: aliasing that two images share does not show in their difference."""
+CUTOFF = 0.31  # Above this many cycles per sector, aliasing dominates: the filter is exp(-(k / (CUTOFF sectors))^2)
+SMOOTH = 6.0  # Slow changes of light around the circle are suppressed by k / (k + SMOOTH), k in cycles per turn
+BLOCKS = 32  # Errors of neighbouring sectors are correlated, within about this fraction of the circle
+FLOOR = 0.01  # Least standard deviation, in sectors: aliasing that two images share does not show in their difference
 CALIBRATION = 1.25
 """Factor on standard deviations, from rendered pairs: the derivatives are themselves measured, with errors."""
-MOST_COT = 2.0
-"""Limit of the cotangent of half the turn in the error that a lean of the camera leaves."""
-STEPS = (2, 2, 3)
-"""Reweighted solutions after each linearisation."""
+MOST_COT = 2.0  # Limit of the cotangent of half the turn in the error that a lean of the camera leaves
+STEPS = (2, 2, 3)  # Reweighted solutions after each linearisation
 _NEAR_ZENITH = 0.1  # least sine of the zenith angle in the field of a lean, which is singular there
 
 
@@ -49,23 +43,15 @@ class Fitted(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """What depends on the size of the polar image and its lens alone.
+    """What depends on the size of the polar image and its lens alone."""
 
-    Attributes:
-        lens: The lens.
-        rays: Directions of the pixels (rings, sectors, 3).
-        per_radian: One over the zenith angle between a ring's neighbours (rings, 1) [1 / rad].
-        weight: Solid angle of a pixel, up to a factor (rings, 1).
-        flow: Azimuth and zenith angle by which pixels move per unit of angle and lean, both (3, rings, sectors).
-        filter: Factor of each frequency around the circle (sectors // 2 + 1,).
-    """
-
-    lens: Lens
-    rays: np.ndarray
-    per_radian: np.ndarray
-    weight: np.ndarray
+    lens: Lens  # The lens
+    rays: np.ndarray  # Directions of the pixels (rings, sectors, 3)
+    per_radian: np.ndarray  # One over the zenith angle between a ring's neighbours (rings, 1) [1 / rad]
+    weight: np.ndarray  # Solid angle of a pixel, up to a factor (rings, 1)
+    # Azimuth and zenith angle by which pixels move per unit of angle and lean, both (3, rings, sectors)
     flow: tuple[np.ndarray, np.ndarray]
-    filter: np.ndarray
+    filter: np.ndarray  # Factor of each frequency around the circle (sectors // 2 + 1,)
 
 
 @lru_cache(maxsize=4)

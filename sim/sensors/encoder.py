@@ -23,24 +23,19 @@ Apply = Callable[[np.ndarray, EncoderSettings, float, np.random.Generator], np.n
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault of the encoders.
+    """One fault of the encoders."""
 
-    Attributes:
-        settings: Fields of ``EncoderSettings`` that set it; 0 is off.
-        title: Description of the quantity that grows with the setting.
-        apply: Changes the wheel angles (R, 2) [rad], given the settings, the wheels' radius [m] and an RNG stream.
-        drops: Draws a mask of the readings, of a given number, that never arrive.
-        variance: Expected squared error [m^2] that each gap between two readings adds to the distance along a segment,
-            for faults in data sheets: from the setting, the gaps' lengths [m] and the number of original gaps in
-            each, which is more than one where readings were lost.
-        bias: Mean squared error [m^2] of complete segments of these lengths [m] that is not noise.
-    """
-
-    settings: tuple[str, ...]
-    title: str
+    settings: tuple[str, ...]  # Fields of ``EncoderSettings`` that set it; 0 is off
+    title: str  # Description of the quantity that grows with the setting
+    # Changes the wheel angles (R, 2) [rad], given the settings, the wheels' radius [m] and an RNG stream
     apply: Apply | None = None
+    # Draws a mask of the readings, of a given number, that never arrive
     drops: Callable[[int, EncoderSettings, np.random.Generator], np.ndarray] | None = None
+    # Expected squared error [m^2] that each gap between two readings adds to the distance along a segment, for faults
+    # in data sheets: from the setting, the gaps' lengths [m] and the number of original gaps in each, which is more
+    # than one where readings were lost
     variance: Callable[[float, Any, Any], Any] | None = None
+    # Mean squared error [m^2] of complete segments of these lengths [m] that is not noise
     bias: Callable[[EncoderSettings, Any], Any] | None = None
 
 
@@ -207,8 +202,7 @@ RANGES = {
     **dict.fromkeys(IN_DATA_SHEETS, (0.0, 1e3)),
 }
 """Allowed ranges of odometry constants; a constant that may be zero may also be missing."""
-LARGE = 2**40
-"""Number of ticks from which a conversion to metres in floating point becomes too coarse."""
+LARGE = 2**40  # Number of ticks from which a conversion to metres in floating point becomes too coarse
 
 
 def read_encoders(

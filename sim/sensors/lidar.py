@@ -14,8 +14,7 @@ from sim.sensors.catalog import Opened
 from sim.sensors.lidar_scan import LIDAR_REACH_M, arrange, ray_angles
 from sim.settings import LidarSettings, SimSettings
 
-LIDAR_HEIGHT_M = 0.18
-"""Height of the rays above the floor [m] (TurtleBot3 Burger)."""
+LIDAR_HEIGHT_M = 0.18  # Height of the rays above the floor [m] (TurtleBot3 Burger)
 
 
 class Lidar:

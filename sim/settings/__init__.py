@@ -32,8 +32,7 @@ from sim.settings.world import TURN_RATE_RPS as TURN_RATE_RPS
 from sim.settings.world import RoomKind as RoomKind
 from sim.settings.world import RoomShape as RoomShape
 
-LARGEST_GRID = 250_000_000
-"""Most distances that a test grid in a plane holds: 1 GB."""
+LARGEST_GRID = 250_000_000  # Most distances that a test grid in a plane holds: 1 GB
 
 
 class SimSettings(Group):

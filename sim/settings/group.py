@@ -12,8 +12,7 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-Seed = Annotated[int, Field(ge=0, le=2**63 - 1)]
-"""A seed; the largest is the largest integer that tables hold."""
+Seed = Annotated[int, Field(ge=0, le=2**63 - 1)]  # A seed; the largest is the largest integer that tables hold
 
 
 class Group(BaseModel):

@@ -9,8 +9,7 @@ from sim.plugins import ENCODER_FAULTS
 from sim.settings.group import Group
 from sim.settings.world import FEWEST_SAMPLES
 
-NAMES_OF_OWN = ("left_joint", "right_joint", "camera_site")
-"""Settings that name parts of a user's own robot."""
+NAMES_OF_OWN = ("left_joint", "right_joint", "camera_site")  # Settings that name parts of a user's own robot
 
 
 class RobotSettings(Group):

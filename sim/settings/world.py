@@ -49,10 +49,8 @@ class RoomSettings(Group):
         return self
 
 
-PLANE_SIDE_M = 2.0
-"""Side of the square of the planar worlds, its middle at the origin [m]."""
-PLANE_CLEARANCE_M = 0.02
-"""Among obstacles, the robot is a point that keeps this distance from them and from walls [m]."""
+PLANE_SIDE_M = 2.0  # Side of the square of the planar worlds, its middle at the origin [m]
+PLANE_CLEARANCE_M = 0.02  # Among obstacles, the robot is a point that keeps this distance from them and from walls [m]
 
 
 class LandmarksSettings(Group):
@@ -73,10 +71,8 @@ class ObstaclesSettings(Group):
     """Seed of the obstacles; None: the scenario's seed."""
 
 
-FEWEST_SAMPLES = 16
-"""Fewest images of a drive."""
-TURN_RATE_RPS = 1.8
-"""Speed of turns in place [rad/s] (TurtleBot3 Burger: at most 2.84)."""
+FEWEST_SAMPLES = 16  # Fewest images of a drive
+TURN_RATE_RPS = 1.8  # Speed of turns in place [rad/s] (TurtleBot3 Burger: at most 2.84)
 
 
 class DriveSettings(Group):

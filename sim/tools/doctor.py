@@ -33,19 +33,12 @@ except (errors.InputError, errors.WorkError) as error:
 
 @dataclass(frozen=True)
 class Check:
-    """The result of one check.
+    """The result of one check."""
 
-    Attributes:
-        name: What was checked.
-        ok: Whether the testbed can work with it.
-        text: What was found.
-        fix: What to do or to type; empty if all is well.
-    """
-
-    name: str
-    ok: bool
-    text: str
-    fix: str = ""
+    name: str  # What was checked
+    ok: bool  # Whether the testbed can work with it
+    text: str  # What was found
+    fix: str = ""  # What to do or to type; empty if all is well
 
 
 def check_all(runs: Path = Path("runs")) -> list[Check]:

@@ -21,8 +21,7 @@ from sim.sensors.camera.fisheye import Fisheye
 from sim.settings import CameraSettings, DeploymentSettings, RoomKind, RoomSettings, RoomShape, SimSettings
 from sim.settings.world import SMALLEST_M
 
-MARK = ("Software", "deepgps")
-"""Mark of origin in the picture's metadata, so that no other picture is overwritten."""
+MARK = ("Software", "deepgps")  # Mark of origin in the picture's metadata, so that no other picture is overwritten
 ROW_PX = 330
 PERSPECTIVE_PX = 560
 TOP_PX = 430

@@ -13,10 +13,8 @@ import numpy as np
 from deepgps.data.segments import SHORTEST_M, Segments
 from deepgps.data.turns import CompassTurns
 
-SHARED = 3
-"""Unknowns of all bars: curvature [1 / m], the camera's place ahead and to the left of the axle [m]."""
-BENT_M = 0.01
-"""A segment is cut where its readings may be further from even scaling than this [m]."""
+SHARED = 3  # Unknowns of all bars: curvature [1 / m], the camera's place ahead and to the left of the axle [m]
+BENT_M = 0.01  # A segment is cut where its readings may be further from even scaling than this [m]
 CONTINUED_M, CONTINUED_RAD = 1e-4, 1e-4
 """Standard deviations of where, and in which direction, a bar continues another of the same segment."""
 RIGID, WRONG = 1e-3, 0.7
@@ -27,48 +25,28 @@ OF_AXLE, OF_CAMERA = slice(0, 4), slice(0, 6)
 
 
 class Located(NamedTuple):
-    """Readings on the map.
+    """Readings on the map."""
 
-    Attributes:
-        way: Distance of each from the beginning of its bar (n,) [m].
-        heading: Heading of the robot (n,) [rad].
-        axle: Position of the axle's centre (n, 2) [m].
-        camera: Position of the camera (n, 2) [m].
-    """
-
-    way: np.ndarray
-    heading: np.ndarray
-    axle: np.ndarray
-    camera: np.ndarray
+    way: np.ndarray  # Distance of each from the beginning of its bar (n,) [m]
+    heading: np.ndarray  # Heading of the robot (n,) [rad]
+    axle: np.ndarray  # Position of the axle's centre (n, 2) [m]
+    camera: np.ndarray  # Position of the camera (n, 2) [m]
 
 
 @dataclass
 class Bars:
-    """Bars with their readings, and their unknowns.
+    """Bars with their readings, and their unknowns."""
 
-    Attributes:
-        row: Bar of each reading (r,).
-        observation: Observation of each reading (r,).
-        along: Distance of each reading from the beginning of its bar, by encoder (r,) [m].
-        first: First reading of each bar (B,).
-        last: Last reading of each bar (B,).
-        segment: Segment of each bar (B,).
-        scale_std: Standard deviation of the logarithm of each bar's scale (B,).
-        uneven_m2: Expected squared error of each reading's way once its bar's scale is right (r,) [m^2].
-        unknown: x, y [m], heading [rad] and logarithm of the scale of each bar (B, 4).
-        shared: Curvature [1 / m], camera ahead and to the left of the axle [m] (3,).
-    """
-
-    row: np.ndarray
-    observation: np.ndarray
-    along: np.ndarray
-    first: np.ndarray
-    last: np.ndarray
-    segment: np.ndarray
-    scale_std: np.ndarray
-    uneven_m2: np.ndarray
-    unknown: np.ndarray
-    shared: np.ndarray
+    row: np.ndarray  # Bar of each reading (r,)
+    observation: np.ndarray  # Observation of each reading (r,)
+    along: np.ndarray  # Distance of each reading from the beginning of its bar, by encoder (r,) [m]
+    first: np.ndarray  # First reading of each bar (B,)
+    last: np.ndarray  # Last reading of each bar (B,)
+    segment: np.ndarray  # Segment of each bar (B,)
+    scale_std: np.ndarray  # Standard deviation of the logarithm of each bar's scale (B,)
+    uneven_m2: np.ndarray  # Expected squared error of each reading's way once its bar's scale is right (r,) [m^2]
+    unknown: np.ndarray  # x, y [m], heading [rad] and logarithm of the scale of each bar (B, 4)
+    shared: np.ndarray  # Curvature [1 / m], camera ahead and to the left of the axle [m] (3,)
 
     @property
     def count(self) -> int:

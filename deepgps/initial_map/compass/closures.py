@@ -16,8 +16,7 @@ from deepgps.data.segments import measure_spacing
 from deepgps.initial_map.compass.bars import Bars, turn
 from sim.geometry import wrap
 
-GATE = 4.0
-"""Standard deviations within which a loop closure is believed."""
+GATE = 4.0  # Standard deviations within which a loop closure is believed
 SURE_M, FAR_M, FURTHEST_M = 0.3, 0.5, 2.0
 """A gate below ``SURE_M`` means that the distance of the two observations is known; above ``FAR_M`` they only look
 alike. No gate is wider than ``FURTHEST_M`` [m]."""
@@ -26,8 +25,7 @@ REPEATS, ENOUGH = 0.02, 20
 only look alike and are no more than d apart."""
 LOOK, LOOK_PER_M = 0.22, 0.62
 """Standard deviation of a loop closure: in one place, in steps between readings, and per metre between its ends."""
-WIDTH = 3.0
-"""Standard deviations at which a loop closure has lost three quarters of its weight."""
+WIDTH = 3.0  # Standard deviations at which a loop closure has lost three quarters of its weight
 TURNED_RAD, TURNED_PER_M, ASIDE_RAD = np.radians(0.2), np.radians(13.0), 0.35
 """Standard deviation of a loop closure's relative heading in one place, and for each metre between its ends. A closure
 whose heading differs from the map's by more than ``ASIDE_RAD`` is false."""
@@ -40,55 +38,32 @@ CROSSING, CONTRADICTED = 10, 0.1
 
 @dataclass(frozen=True)
 class Closures:
-    """Loop closures: images of almost one place.
+    """Loop closures: images of almost one place."""
 
-    Attributes:
-        first: First observation of each (n,).
-        second: Second (n,).
-        length: Estimated distance between them (n,) [m].
-        turn: Angle from the first's heading to the second's, to the left (n,) [rad]; NaN: open.
-    """
-
-    first: np.ndarray
-    second: np.ndarray
-    length: np.ndarray
-    turn: np.ndarray
+    first: np.ndarray  # First observation of each (n,)
+    second: np.ndarray  # Second (n,)
+    length: np.ndarray  # Estimated distance between them (n,) [m]
+    turn: np.ndarray  # Angle from the first's heading to the second's, to the left (n,) [rad]; NaN: open
 
 
 class Links(NamedTuple):
-    """Loop closures between readings of bars.
+    """Loop closures between readings of bars."""
 
-    Attributes:
-        number: Number of each in ``Closures`` (m,).
-        one: First reading (m,).
-        other: Second reading (m,).
-        variance: Expected square of their distance along each axis (m,) [m^2].
-        turn: Angle from the first's heading to the second's (m,) [rad]; NaN: open.
-        turn_std: Its standard deviation (m,) [rad].
-    """
-
-    number: np.ndarray
-    one: np.ndarray
-    other: np.ndarray
-    variance: np.ndarray
-    turn: np.ndarray
-    turn_std: np.ndarray
+    number: np.ndarray  # Number of each in ``Closures`` (m,)
+    one: np.ndarray  # First reading (m,)
+    other: np.ndarray  # Second reading (m,)
+    variance: np.ndarray  # Expected square of their distance along each axis (m,) [m^2]
+    turn: np.ndarray  # Angle from the first's heading to the second's (m,) [rad]; NaN: open
+    turn_std: np.ndarray  # Its standard deviation (m,) [rad]
 
 
 class Belief(NamedTuple):
-    """Which loop closures are believed, with the weights of their squared residuals.
+    """Which loop closures are believed, with the weights of their squared residuals."""
 
-    Attributes:
-        believed: Whether each is believed (m,) bool.
-        place: Weight of its position (m,).
-        turn: Weight of its relative heading (m,).
-        repeats_m: Distance after which the world repeats [m]; infinite: it does not repeat; 0: unknown.
-    """
-
-    believed: np.ndarray
-    place: np.ndarray
-    turn: np.ndarray
-    repeats_m: float
+    believed: np.ndarray  # Whether each is believed (m,) bool
+    place: np.ndarray  # Weight of its position (m,)
+    turn: np.ndarray  # Weight of its relative heading (m,)
+    repeats_m: float  # Distance after which the world repeats [m]; infinite: it does not repeat; 0: unknown
 
 
 def link(bars: Bars, closures: Closures, observations: int) -> Links:
@@ -189,32 +164,20 @@ def find_doubted(bars: Bars, links: Links, belief: Belief) -> np.ndarray:
     return (count >= FEW) & (agreed < HALF * count)
 
 
-AGREE_M, AGREE_RAD = 0.3, 0.2
-"""How far loop closures that agree may place a part apart."""
-LEAST = 4
-"""Loop closures that must agree."""
-CLEAR = 2.0
-"""So many times as many must agree on the best placement as on any other."""
-MOST = 200
-"""Most loop closures of two parts that are tried as placements."""
+AGREE_M, AGREE_RAD = 0.3, 0.2  # How far loop closures that agree may place a part apart
+LEAST = 4  # Loop closures that must agree
+CLEAR = 2.0  # So many times as many must agree on the best placement as on any other
+MOST = 200  # Most loop closures of two parts that are tried as placements
 
 
 class Placement(NamedTuple):
-    """How a part is placed against another: turned by ``angle`` [rad] about ``middle`` (2,), which comes to ``place``.
+    """A part placed against another: turned by ``angle`` [rad] about ``middle`` (2,), which comes to ``place``."""
 
-    Attributes:
-        stays: Number of the part that stays.
-        moves: Number of the part that is moved.
-        middle: A point of it (2,) [m].
-        place: Where this point belongs (2,) [m].
-        angle: To the left [rad].
-    """
-
-    stays: int
-    moves: int
-    middle: np.ndarray
-    place: np.ndarray
-    angle: float
+    stays: int  # Number of the part that stays
+    moves: int  # Number of the part that is moved
+    middle: np.ndarray  # A point of it (2,) [m]
+    place: np.ndarray  # Where this point belongs (2,) [m]
+    angle: float  # To the left [rad]
 
 
 def join_parts(bars: Bars, part: np.ndarray, links: Links) -> np.ndarray:

@@ -43,70 +43,46 @@ NEIGHBOURS = 3
 ROUNDS, LATELY, GROWN = 20, 5, 0.1
 """Most rounds after the map has grown. It grows while this part more loop closures are believed than ``LATELY`` rounds
 before: in a long drive, each drift can be seen only after shorter ones are mended."""
-ATTEMPTS = 10
-"""Times that parts are joined although they have come apart again when refined."""
+ATTEMPTS = 10  # Times that parts are joined although they have come apart again when refined
 SETTLED_M, SETTLED = 0.001, 0.001
 """The map is finished once no round moves it further than this [m], or changes this part of the closures believed."""
-CUT_RAD, CUT_M = 0.15, 0.5
-"""A turn, or a way between two segments, that is known less well cuts the drive into parts."""
-RECUTS = 3
-"""Times that turns which loop closures contradict are cut."""
-UNDERSTATED = 1.5
-"""Where lengths err so many times more than expected, the map is made again with shorter bars."""
+CUT_RAD, CUT_M = 0.15, 0.5  # A turn, or a way between two segments, that is known less well cuts the drive into parts
+RECUTS = 3  # Times that turns which loop closures contradict are cut
+UNDERSTATED = 1.5  # Where lengths err so many times more than expected, the map is made again with shorter bars
 LARGEST_TURN = 0.5
-STAGES = 8
-"""Most stages of the map's making that are kept; the first rounds move it most, and most of these are kept."""
+STAGES = 8  # Most stages of the map's making that are kept; the first rounds move it most, and most of these are kept
 
 
 @dataclass(frozen=True)
 class Stage:
-    """The map after one round of its making.
+    """The map after one round of its making."""
 
-    Attributes:
-        places: Positions of the camera at the observations (N, 2) [m]; NaN where they are unknown.
-        heading: Heading of the robot at each (N,) [rad].
-        believed: Which loop closures are believed (n,) bool.
-        number: Rounds before it; 0: as laid out along the compass headings.
-    """
-
-    places: np.ndarray
-    heading: np.ndarray
-    believed: np.ndarray
-    number: int
+    places: np.ndarray  # Positions of the camera at the observations (N, 2) [m]; NaN where they are unknown
+    heading: np.ndarray  # Heading of the robot at each (N,) [rad]
+    believed: np.ndarray  # Which loop closures are believed (n,) bool
+    number: int  # Rounds before it; 0: as laid out along the compass headings
 
 
 @dataclass(frozen=True)
 class CompassMap:
-    """A map and how well it is known.
+    """A map and how well it is known."""
 
-    Attributes:
-        places: Positions of the camera at the observations (N, 2) [m]; NaN where nothing joins them to the rest.
-        heading: Heading of the robot at each (N,) [rad].
-        std: Standard deviation of each position along either axis, after alignment of the whole map (N,) [m].
-        error: Samples of the positions' errors after alignment (N, 2, SAMPLES) [m].
-        believed: Which loop closures are believed (n,) bool.
-        undecided: Observations that look-alikes would let lie elsewhere, or that nothing joins to the rest (N,) bool.
-        repeats_m: Distance after which the world repeats [m]; infinite: it does not repeat; 0: unknown.
-        shared: Curvature of what the robot drives for straight [1 / m], the camera's place ahead of the axle and to
-            its left [m] (3,).
-        shared_std: Their standard deviations (3,).
-        scale: How many times larger the errors of turns and lengths were than expected.
-        closures: The loop closures that were tried.
-        stages: How the map was made, its last stage last.
-    """
-
+    # Positions of the camera at the observations (N, 2) [m]; NaN where nothing joins them to the rest
     places: np.ndarray
-    heading: np.ndarray
-    std: np.ndarray
-    error: np.ndarray
-    believed: np.ndarray
+    heading: np.ndarray  # Heading of the robot at each (N,) [rad]
+    std: np.ndarray  # Standard deviation of each position along either axis, after alignment of the whole map (N,) [m]
+    error: np.ndarray  # Samples of the positions' errors after alignment (N, 2, SAMPLES) [m]
+    believed: np.ndarray  # Which loop closures are believed (n,) bool
+    # Observations that look-alikes would let lie elsewhere, or that nothing joins to the rest (N,) bool
     undecided: np.ndarray
-    repeats_m: float
+    repeats_m: float  # Distance after which the world repeats [m]; infinite: it does not repeat; 0: unknown
+    # Curvature of what the robot drives for straight [1 / m], the camera's place ahead of the axle and to its left
+    # [m] (3,)
     shared: np.ndarray
-    shared_std: np.ndarray
-    scale: Scale
-    closures: Closures
-    stages: tuple[Stage, ...]
+    shared_std: np.ndarray  # Their standard deviations (3,)
+    scale: Scale  # How many times larger the errors of turns and lengths were than expected
+    closures: Closures  # The loop closures that were tried
+    stages: tuple[Stage, ...]  # How the map was made, its last stage last
 
 
 def find_compass_map(

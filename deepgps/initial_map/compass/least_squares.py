@@ -63,39 +63,25 @@ class Equations:
         return step - along * (held @ step + excess), samples - along[:, None] * (held @ samples)
 
 
-FIXED = 1e-4
-"""Standard deviation that holds a part's first bar in place: the map may move and turn freely [m], [rad]."""
+FIXED = 1e-4  # Standard deviation that holds a part's first bar in place: the map may move and turn freely [m], [rad]
 CURVATURE, MOUNT_M = 0.01, 0.05
 """Standard deviations of the curvature [1 / m] and of the camera's place off the axle [m], before the map."""
-KNOWN = 20
-"""The expected errors count as much as so many residuals when these are rescaled."""
-OUTLIER = 9.0
-"""Squared residuals, in variances, count at most this much when errors are rescaled."""
-MOST = 4.0
-"""Errors are rescaled at most by this factor, up or down."""
+KNOWN = 20  # The expected errors count as much as so many residuals when these are rescaled
+OUTLIER = 9.0  # Squared residuals, in variances, count at most this much when errors are rescaled
+MOST = 4.0  # Errors are rescaled at most by this factor, up or down
 
 
 @dataclass(frozen=True)
 class Joints:
-    """How consecutive bars are joined; J = B - 1.
+    """How consecutive bars are joined; J = B - 1."""
 
-    Attributes:
-        before: Last reading of the bar before each (J,).
-        after: First reading of the bar after each (J,).
-        new: Whether a segment ends there (J,) bool.
-        angle: Turn to the left (J,) [rad].
-        angle_std: Its standard deviation (J,) [rad].
-        jump: From the end of a bar to the beginning of the next, in the frame of the robot before (J, 2) [m].
-        jump_std: Its standard deviation along each axis (J,) [m].
-    """
-
-    before: np.ndarray
-    after: np.ndarray
-    new: np.ndarray
-    angle: np.ndarray
-    angle_std: np.ndarray
-    jump: np.ndarray
-    jump_std: np.ndarray
+    before: np.ndarray  # Last reading of the bar before each (J,)
+    after: np.ndarray  # First reading of the bar after each (J,)
+    new: np.ndarray  # Whether a segment ends there (J,) bool
+    angle: np.ndarray  # Turn to the left (J,) [rad]
+    angle_std: np.ndarray  # Its standard deviation (J,) [rad]
+    jump: np.ndarray  # From the end of a bar to the beginning of the next, in the frame of the robot before (J, 2) [m]
+    jump_std: np.ndarray  # Its standard deviation along each axis (J,) [m]
 
 
 class Scale(NamedTuple):

@@ -36,8 +36,7 @@ MODES, USED = 16, (2, 3, 4, 5)
 """Modes that are computed, and how many of those that spread over the map are used for each map that is tried."""
 SPREAD = 0.04
 """Least share of the bars on which a mode must live; modes of fewer bars are those of bars that hang loose."""
-BELIEVED = (32.0, 16.0, 8.0, 4.0, 2.0)
-"""Scales of the robust weights, round by round, in steps between readings."""
+BELIEVED = (32.0, 16.0, 8.0, 4.0, 2.0)  # Scales of the robust weights, round by round, in steps between readings
 LENGTH_ROUNDS, LENGTH_ERROR = 5, 0.3
 """Rounds in which the slopes' lengths are fitted robustly, and the scale of their errors, relative to the length."""
 RIDGE = 1e-9
@@ -167,15 +166,10 @@ def _keep_largest_part(count: int, segments: Segments, closures: LoopClosures) -
 
 @dataclass(frozen=True)
 class WheelTurns:
-    """Path and turns of a complete drive, measured by the wheels.
+    """Path and turns of a complete drive, measured by the wheels."""
 
-    Attributes:
-        path: Dead-reckoned position of each observation (N, 2) [m]; NaN where no reading arrived.
-        angle: Turn from each segment to the next, to the left (L - 1,) [rad]; segments as in ``Segments``.
-    """
-
-    path: np.ndarray
-    angle: np.ndarray
+    path: np.ndarray  # Dead-reckoned position of each observation (N, 2) [m]; NaN where no reading arrived
+    angle: np.ndarray  # Turn from each segment to the next, to the left (L - 1,) [rad]; segments as in ``Segments``
 
 
 def read_turns(recording: Recording) -> WheelTurns:

@@ -25,20 +25,16 @@ NEAR_M, SAME_M, SHORT_M = 0.3, 0.02, 0.5
 """Largest estimated distance of a loop closure, its smallest standard deviation, and the longest short segment [m]."""
 CHUNK = 1000
 ROUNDS = 25
-BELIEVED_M = (1.0, 0.08)
-"""Scale of the robust weights in the first and the last round [m]."""
-BAR_M = (0.1, 0.01)
-"""Standard deviation of the bars' lengths in the first and the last round [m]."""
+BELIEVED_M = (1.0, 0.08)  # Scale of the robust weights in the first and the last round [m]
+BAR_M = (0.1, 0.01)  # Standard deviation of the bars' lengths in the first and the last round [m]
 ANCHOR_M, LARGEST_M = 0.3, 0.5
 """Standard deviation of a place about its position a round before, and its largest step along each axis [m]."""
-MIXED, SMOOTH = 10, 0.05
-"""Number of similar places that make up each place, and the damping of their weights."""
+MIXED, SMOOTH = 10, 0.05  # Number of similar places that make up each place, and the damping of their weights
 MIXTURE_ROUNDS, MIXTURE_BELIEVED_M, MIXTURE_M = 15, (0.5, 0.05), 0.03
 """Rounds, scales of the robust weights in the first and the last [m], and standard deviation about the mixture [m]."""
 EXACT, MOST_STEPS = 1e-8, 2000
 """Residual at which conjugate gradients stop, relative to the right-hand side, and their largest number of steps."""
-WRONG_M = 0.05
-"""Unit of the errors when maps are compared; an error of more than twice this counts as twice this [m]."""
+WRONG_M = 0.05  # Unit of the errors when maps are compared; an error of more than twice this counts as twice this [m]
 
 
 def find_end_point_map(

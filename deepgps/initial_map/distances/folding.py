@@ -25,22 +25,16 @@ SAMPLES = 2000
 FOLD_NEIGHBOURS = 32
 NEAR_M = 0.1
 LOOK_M = 0.3
-LENGTH_ERROR_LIMIT, OVERLAP_LIMIT = 0.04, 0.02
-"""A map counts as folded if it exceeds either of these."""
+LENGTH_ERROR_LIMIT, OVERLAP_LIMIT = 0.04, 0.02  # A map counts as folded if it exceeds either of these
 
 
 @dataclass(frozen=True)
 class FoldScore:
-    """How far a map is folded: two fractions, each between 0 (not at all) and 1.
+    """How far a map is folded: two fractions, each between 0 (not at all) and 1."""
 
-    Attributes:
-        length_error_fraction: Of the distance travelled, the part on segments whose predicted ends are too close or too
-            far apart.
-        overlap_fraction: Of the observations with neighbours on the map from other segments, the part that look unlike
-            those neighbours.
-    """
-
+    # Of the distance travelled, the part on segments whose predicted ends are too close or too far apart
     length_error_fraction: float
+    # Of the observations with neighbours on the map from other segments, the part that look unlike those neighbours
     overlap_fraction: float
 
     @property
@@ -111,8 +105,7 @@ def _usual_difference(features: torch.Tensor, segments: Segments) -> float:
 NEAR, MOVED = 2.0, 3.0
 """Distance from a line within which a crossing allows mirroring about it, and beyond which mirroring moves a reading,
 in steps between readings."""
-LEAST = 0.02
-"""Least share of the readings in a part; fewer are those of a bar that hangs loose."""
+LEAST = 0.02  # Least share of the readings in a part; fewer are those of a bar that hangs loose
 
 
 def find_ambiguous(places: np.ndarray, features: torch.Tensor, segments: Segments) -> np.ndarray:

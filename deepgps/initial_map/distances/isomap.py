@@ -19,8 +19,7 @@ NEIGHBOURS = (3, 6)
 """Neighbours of each observation in the graphs whose shortest paths give a map; the first gives the loop closures."""
 LANDMARKS = 300
 LONGEST_LINK = 2.0
-PAIRS = 2**23
-"""Pairs of observations that are compared at a time."""
+PAIRS = 2**23  # Pairs of observations that are compared at a time
 
 LoopClosures = tuple[np.ndarray, np.ndarray, np.ndarray]
 """First (n,) and second (n,) observations of the loop closures, and their estimated distances (n,) [m]."""

@@ -34,27 +34,16 @@ DAMPING = 1e-9
 
 
 class PoseGraph(NamedTuple):
-    """Readings on bars, and the pairs of them that should coincide.
+    """Readings on bars, and the pairs of them that should coincide."""
 
-    Attributes:
-        observation: Observation of each reading (r,).
-        along: Distance of each from the mean of its segment's readings (r,) [m].
-        bar: Bar of each, counted from 0 (r,).
-        a: First reading of each pair (p,).
-        b: Second reading of each pair (p,).
-        firm: Whether the two are one observation, at which two bars meet, and not a loop closure (p,) bool.
-        weight: Inverse expected squared distance of each pair (p,) [1 / m^2].
-        step: Median distance between consecutive readings [m].
-    """
-
-    observation: np.ndarray
-    along: np.ndarray
-    bar: np.ndarray
-    a: np.ndarray
-    b: np.ndarray
-    firm: np.ndarray
-    weight: np.ndarray
-    step: float
+    observation: np.ndarray  # Observation of each reading (r,)
+    along: np.ndarray  # Distance of each from the mean of its segment's readings (r,) [m]
+    bar: np.ndarray  # Bar of each, counted from 0 (r,)
+    a: np.ndarray  # First reading of each pair (p,)
+    b: np.ndarray  # Second reading of each pair (p,)
+    firm: np.ndarray  # Whether the two are one observation, at which two bars meet, and not a loop closure (p,) bool
+    weight: np.ndarray  # Inverse expected squared distance of each pair (p,) [1 / m^2]
+    step: float  # Median distance between consecutive readings [m]
 
 
 def relax(places: np.ndarray, segments: Segments, closures: LoopClosures) -> tuple[np.ndarray, float]:
@@ -157,48 +146,33 @@ def weigh(graph: PoseGraph, apart: np.ndarray, believed: float) -> np.ndarray:
     return graph.weight * np.where(graph.firm, 1.0, robust)
 
 
-COSINES = 3
-"""Cosines of each bar; with more, the map is hardly better."""
+COSINES = 3  # Cosines of each bar; with more, the map is hardly better
 NOISE_FIRST, NOISE_LEAST = 0.1, 1e-4
 """Noise of a gap, relative to it, in the first round, and the least that is assumed."""
 UNEVEN_FIRST, UNEVEN_LAST, UNEVEN_ROUNDS = 4.0, 1.0, 8
 """Scale of the robust weights in the first and the last round, in steps between readings."""
 HELD, SETTLED = 0.6, 2
 """In the last rounds, which estimate no noise, it counts this much: loop closures pull bars together."""
-SAMPLES = 8
-"""Samples of the errors of the coefficients, for their mean square."""
+SAMPLES = 8  # Samples of the errors of the coefficients, for their mean square
 TAILS = 4.0
 """Degrees of freedom of the coefficients' distribution: a bar whose wheel stuck errs more than noise explains."""
 
 
 class Relaxed(NamedTuple):
-    """A map, and what it says of the encoders.
+    """A map, and what it says of the encoders."""
 
-    Attributes:
-        places: Positions (N, 2) float64 [m]; observations on no segment keep theirs.
-        segments: The segments, with the distances that their readings have on the map.
-        noise: Standard deviation of a gap, relative to it.
-    """
-
-    places: np.ndarray
-    segments: Segments
-    noise: float
+    places: np.ndarray  # Positions (N, 2) float64 [m]; observations on no segment keep theirs
+    segments: Segments  # The segments, with the distances that their readings have on the map
+    noise: float  # Standard deviation of a gap, relative to it
 
 
 class Normal(NamedTuple):
-    """Normal equations of one round.
+    """Normal equations of one round."""
 
-    Attributes:
-        jacobian: Derivatives of the pairs' differences (2 p, u).
-        trust: Weights of these (2 p,) [1 / m^2].
-        prior: Inverse variances of the unknowns (u,).
-        factors: Of the normal equations.
-    """
-
-    jacobian: csc_array
-    trust: np.ndarray
-    prior: np.ndarray
-    factors: SuperLU
+    jacobian: csc_array  # Derivatives of the pairs' differences (2 p, u)
+    trust: np.ndarray  # Weights of these (2 p,) [1 / m^2]
+    prior: np.ndarray  # Inverse variances of the unknowns (u,)
+    factors: SuperLU  # Of the normal equations
 
 
 class UnevenBars:

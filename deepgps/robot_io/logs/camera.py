@@ -18,10 +18,8 @@ from sim.sensors.camera.lens import Lens
 from sim.sensors.camera.unwrap import COEFFICIENTS, MODELS, RawCamera, Unwrapping, check_camera
 
 INFO = "sensor_msgs/msg/CameraInfo"
-LEAST = np.radians(30.0)
-"""Smallest angle between the optical axis and the rim that is worth learning from [rad]."""
-FIRST = 20
-"""Images of which most have the size of all; some cameras begin with another one."""
+LEAST = np.radians(30.0)  # Smallest angle between the optical axis and the rim that is worth learning from [rad]
+FIRST = 20  # Images of which most have the size of all; some cameras begin with another one
 
 
 def find_camera(log: Log, config: CameraConfig, size: tuple[int, int]) -> RawCamera:
@@ -159,25 +157,16 @@ def _assume(config: CameraConfig, size: tuple[int, int]) -> RawCamera:
 
 @dataclass
 class PolarSource:
-    """A log's images and what makes polar images of them.
+    """A log's images and what makes polar images of them."""
 
-    Attributes:
-        log: The log.
-        topic: Topic of the images.
-        camera: Its calibration.
-        unwrap: Makes polar images.
-        lens: Lens of the polar images.
-        damaged: Numbers of images that cannot be used, and why, as far as they have been read.
-        drawn: Numbers of the images that have been read.
-    """
-
-    log: Log
-    topic: str
-    camera: RawCamera
-    unwrap: Unwrapping
-    lens: Lens
+    log: Log  # The log
+    topic: str  # Topic of the images
+    camera: RawCamera  # Its calibration
+    unwrap: Unwrapping  # Makes polar images
+    lens: Lens  # Lens of the polar images
+    # Numbers of images that cannot be used, and why, as far as they have been read
     damaged: dict[int, str] = field(default_factory=dict)
-    drawn: set[int] = field(default_factory=set)
+    drawn: set[int] = field(default_factory=set)  # Numbers of the images that have been read
 
     @property
     def size(self) -> int:

@@ -32,8 +32,7 @@ SUFFIXES = (".bag", ".mcap", ".db3")
 SPECIAL = re.compile(r"[#?%]")
 METADATA = "metadata.yaml"
 ZSTD = ".zstd"
-STRIDE = 1000
-"""Messages between two reports of progress."""
+STRIDE = 1000  # Messages between two reports of progress
 
 
 def prepare_databases(path: Path, files: Sequence[Path], stack: ExitStack) -> tuple[Path, list[Path]]:
@@ -100,17 +99,11 @@ def _copy_metadata(file: Path, copy: Path) -> None:
 
 @dataclass(frozen=True)
 class Log:
-    """An open log.
+    """An open log."""
 
-    Attributes:
-        path: Its path.
-        types: Type of each topic.
-        notes: What the user should know of its files.
-    """
-
-    path: Path
-    types: dict[str, str]
-    notes: tuple[str, ...] = ()
+    path: Path  # Its path
+    types: dict[str, str]  # Type of each topic
+    notes: tuple[str, ...] = ()  # What the user should know of its files
     _parts: Sequence[Part] = field(default=(), repr=False)
 
     def read(self, topics: Collection[str]) -> Iterator[tuple[Sample, Part]]:

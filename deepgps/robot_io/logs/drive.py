@@ -19,14 +19,10 @@ from deepgps.robot_io.logs.segmentation import Motion, Path, find_motions, find_
 from deepgps.robot_io.logs.wheels import Wheels, clean_wheels, fill_counts
 from sim.errors import InputError
 
-APART_S = 0.05
-"""Largest difference between clocks, and largest jump of one, that goes unnoticed [s]."""
-STRETCH_S = 10.0
-"""Length of the stretches in which the shortest delays are found [s]."""
-SHORTEST = 5
-"""Percentile of the delays in a stretch that counts as the shortest."""
-FEW, MANY = 10, 60
-"""Fewest and most messages on each side of a jump that must show it."""
+APART_S = 0.05  # Largest difference between clocks, and largest jump of one, that goes unnoticed [s]
+STRETCH_S = 10.0  # Length of the stretches in which the shortest delays are found [s]
+SHORTEST = 5  # Percentile of the delays in a stretch that counts as the shortest
+FEW, MANY = 10, 60  # Fewest and most messages on each side of a jump that must show it
 NS = 1e-9
 ADVANCING = 0.01
 """Stamps that advance by less than this part of the time of logging are none: constant, or in another unit."""
@@ -34,17 +30,11 @@ ADVANCING = 0.01
 
 @dataclass(frozen=True)
 class Times:
-    """Times of a topic's messages, in the order in which they were logged.
+    """Times of a topic's messages, in the order in which they were logged."""
 
-    Attributes:
-        topic: The topic.
-        log_s: When each was logged (n,) [s], from the first message of the log.
-        stamp_s: Its stamp (n,) [s], from the first stamp of the log; NaN where it is missing.
-    """
-
-    topic: str
-    log_s: np.ndarray
-    stamp_s: np.ndarray
+    topic: str  # The topic
+    log_s: np.ndarray  # When each was logged (n,) [s], from the first message of the log
+    stamp_s: np.ndarray  # Its stamp (n,) [s], from the first stamp of the log; NaN where it is missing
 
     @property
     def late_s(self) -> np.ndarray:
@@ -70,17 +60,12 @@ class Starts:
 
 
 class Aligned(NamedTuple):
-    """Times of all topics by one clock.
+    """Times of all topics by one clock."""
 
-    Attributes:
-        time_s: Time of each message by topic (n,) [s], in the order in which they were logged; NaN: not known.
-        by_log: Whether it is the recorder's clock; otherwise, the clock of the stamps.
-        notes: What was done.
-    """
-
+    # Time of each message by topic (n,) [s], in the order in which they were logged; NaN: not known
     time_s: dict[str, np.ndarray]
-    by_log: bool
-    notes: list[str]
+    by_log: bool  # Whether it is the recorder's clock; otherwise, the clock of the stamps
+    notes: list[str]  # What was done
 
 
 def find_starts(logs: Sequence[Sequence[int]], stamps: Sequence[Sequence[int]]) -> Starts:
@@ -211,29 +196,17 @@ def _by_recorder(times: Times) -> np.ndarray:
 
 @dataclass(frozen=True)
 class LoggedDrive:
-    """A log's drive, by its wheels and the times of its images.
+    """A log's drive, by its wheels and the times of its images."""
 
-    Attributes:
-        wheels: The wheels.
-        path: Distance and heading by them.
-        motions: What the robot did.
-        image_s: Time of each image (m,) [s]; NaN where it is not known.
-        pose: Poses at the images (m, 3), NaN where there is none; None: they are not known.
-        notes: What the user should know.
-        offset_s: Median of logged minus stamped, by topic [s].
-        start_ns: From when times count [ns since 1970].
-        from_odometry: Whether the wheels are computed from an odometry.
-    """
-
-    wheels: Wheels
-    path: Path
-    motions: list[Motion]
-    image_s: np.ndarray
-    pose: np.ndarray | None
-    notes: tuple[str, ...]
-    offset_s: Mapping[str, float]
-    start_ns: int
-    from_odometry: bool
+    wheels: Wheels  # The wheels
+    path: Path  # Distance and heading by them
+    motions: list[Motion]  # What the robot did
+    image_s: np.ndarray  # Time of each image (m,) [s]; NaN where it is not known
+    pose: np.ndarray | None  # Poses at the images (m, 3), NaN where there is none; None: they are not known
+    notes: tuple[str, ...]  # What the user should know
+    offset_s: Mapping[str, float]  # Median of logged minus stamped, by topic [s]
+    start_ns: int  # From when times count [ns since 1970]
+    from_odometry: bool  # Whether the wheels are computed from an odometry
 
 
 def find_drive(config: RobotConfig, wheel_log: WheelLog, listed: ImageList, pose_log: PoseLog | None) -> LoggedDrive:

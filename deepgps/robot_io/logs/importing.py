@@ -30,28 +30,21 @@ from sim.recording.format import finish_recording
 from sim.recording.manifest import FOLDER as IN_USE
 from sim.settings import CameraSettings
 
-MOST_DAMAGED = 0.05
-"""Share of damaged images from which a log is refused."""
+MOST_DAMAGED = 0.05  # Share of damaged images from which a log is refused
 FEWEST_SEGMENTS = 3
 """Segments from which one is held out, however small the part that is wanted: errors cannot be measured without."""
 
 WRITTEN_LAST = ("schema", "sha256", "checksum")
 """Entries of a manifest that are written again when a drive in use is added."""
-HEIGHTS_M = (0.2, 1.5)
-"""Limits of the setting camera.height_m, by which only the viewer draws [m]."""
+HEIGHTS_M = (0.2, 1.5)  # Limits of the setting camera.height_m, by which only the viewer draws [m]
 
 
 @dataclass(frozen=True)
 class Choice:
-    """The images of a recording, numbered as in the log.
+    """The images of a recording, numbered as in the log."""
 
-    Attributes:
-        train: Those of the segments to learn from.
-        test: Those of the segments that are held out.
-    """
-
-    train: Plan
-    test: Plan
+    train: Plan  # Those of the segments to learn from
+    test: Plan  # Those of the segments that are held out
 
     @property
     def parts(self) -> list[np.ndarray]:

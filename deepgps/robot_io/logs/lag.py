@@ -16,67 +16,42 @@ from deepgps.terminal.progress import Report
 from sim.errors import InputError
 from sim.geometry import wrap
 
-FINER = 16
-"""Points between two sectors at which shifts are compared."""
-LONGEST_S = 0.5
-"""Largest lag that is looked for [s]."""
+FINER = 16  # Points between two sectors at which shifts are compared
+LONGEST_S = 0.5  # Largest lag that is looked for [s]
 STEP_S = 0.002
-OUTLIER_RAD = 0.1
-"""Differences from here on count no more [rad]."""
-LEAST_RAD = 0.05
-"""Turns between two images that are smaller than this tell nothing [rad]."""
-FEWEST = 12
-"""Fewest pairs of images from which a lag is estimated."""
-MOST_PAIRS = 400
-"""Pairs of images from which the lag is estimated at most."""
+OUTLIER_RAD = 0.1  # Differences from here on count no more [rad]
+LEAST_RAD = 0.05  # Turns between two images that are smaller than this tell nothing [rad]
+FEWEST = 12  # Fewest pairs of images from which a lag is estimated
+MOST_PAIRS = 400  # Pairs of images from which the lag is estimated at most
 PAIR_S = (0.19, 0.5)
 """Shortest and longest time between the two images of a pair [s]: two images of a fast camera hardly differ."""
-AROUND_S = 0.3
-"""Images are looked at this long before and after a turn [s]."""
-AGREE = 0.5
-"""Share of turns in which images and wheels must agree."""
+AROUND_S = 0.3  # Images are looked at this long before and after a turn [s]
+AGREE = 0.5  # Share of turns in which images and wheels must agree
 NO_RADIANS = 10.0
 """How many times as far as the images the wheels turn at least if their angles are in degrees or ticks."""
-FEW_SEEN = 0.2
-"""Share of the wheels' turns below which images seem not to turn. Good logs have nearly all."""
-TURNING_RAD = 0.15
-"""Turn of the wheels between two images that images show whatever their lag [rad]."""
-MOST_STILL = 0.2
-"""Share of such turns in which images may stand still without a note."""
+FEW_SEEN = 0.2  # Share of the wheels' turns below which images seem not to turn. Good logs have nearly all
+TURNING_RAD = 0.15  # Turn of the wheels between two images that images show whatever their lag [rad]
+MOST_STILL = 0.2  # Share of such turns in which images may stand still without a note
 DRIVES: tuple[Kind, ...] = ("straight", "back", "arc")
 """Motions that a turn in place becomes by wheels of which one counts backward."""
 
 
 class Pairs(NamedTuple):
-    """Pairs of images taken while the robot turned in place.
+    """Pairs of images taken while the robot turned in place."""
 
-    Attributes:
-        first_s: Time of the first image of each (p,) [s].
-        second_s: Time of the second one (p,) [s].
-        turned: The turn between them by the images (p,) [rad], to the left.
-    """
-
-    first_s: np.ndarray
-    second_s: np.ndarray
-    turned: np.ndarray
+    first_s: np.ndarray  # Time of the first image of each (p,) [s]
+    second_s: np.ndarray  # Time of the second one (p,) [s]
+    turned: np.ndarray  # The turn between them by the images (p,) [rad], to the left
 
 
 class Lag(NamedTuple):
-    """A lag.
+    """A lag."""
 
-    Attributes:
-        seconds: How much later than the images the wheels are [s].
-        agree: Share of pairs in which wheels and images turn by the same angle then.
-        mirrored: The same share if images turned the other way.
-        pairs: Number of pairs.
-        ratio: How many times as far the wheels turn, as a median.
-    """
-
-    seconds: float
-    agree: float
-    mirrored: float
-    pairs: int
-    ratio: float
+    seconds: float  # How much later than the images the wheels are [s]
+    agree: float  # Share of pairs in which wheels and images turn by the same angle then
+    mirrored: float  # The same share if images turned the other way
+    pairs: int  # Number of pairs
+    ratio: float  # How many times as far the wheels turn, as a median
 
 
 def measure_shift(first: np.ndarray, second: np.ndarray) -> float:

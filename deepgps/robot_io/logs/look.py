@@ -16,36 +16,24 @@ from deepgps.robot_io.logs.pictures import COMPRESSED, RAW, decoder
 from deepgps.terminal.progress import Report
 from sim.errors import InputError, shorten
 
-FIRST = 50
-"""Messages of a topic that are decoded."""
+FIRST = 50  # Messages of a topic that are decoded
 TURTLEBOT3 = ("wheel_left_joint", "wheel_right_joint")
 BURGER = {"radius_m": 0.033, "track_m": 0.16}
 DECODED = (JOINT_STATE, INFO, RAW, COMPRESSED)
-DESCRIBED = (*DECODED, ODOMETRY, *POSE_KINDS)
-"""Types of which more is said than the number of messages."""
+DESCRIBED = (*DECODED, ODOMETRY, *POSE_KINDS)  # Types of which more is said than the number of messages
 
 
 @dataclass
 class Seen:
-    """What was seen of a topic.
+    """What was seen of a topic."""
 
-    Attributes:
-        kind: Its type.
-        log_ns: When each message was logged (n,) [ns].
-        stamp_ns: Its stamp (n,) [ns]; 0: none.
-        details: What its first messages say.
-        names: Names of joints.
-        calibrated: Whether there is a calibration that can be used.
-        size: Width and height of the first image [px]; empty: there is none.
-    """
-
-    kind: str
-    log_ns: array = field(default_factory=lambda: array("q"))
-    stamp_ns: array = field(default_factory=lambda: array("q"))
-    details: dict[str, None] = field(default_factory=dict)
-    names: dict[str, None] = field(default_factory=dict)
-    calibrated: bool = False
-    size: tuple[int, ...] = ()
+    kind: str  # Its type
+    log_ns: array = field(default_factory=lambda: array("q"))  # When each message was logged (n,) [ns]
+    stamp_ns: array = field(default_factory=lambda: array("q"))  # Its stamp (n,) [ns]; 0: none
+    details: dict[str, None] = field(default_factory=dict)  # What its first messages say
+    names: dict[str, None] = field(default_factory=dict)  # Names of joints
+    calibrated: bool = False  # Whether there is a calibration that can be used
+    size: tuple[int, ...] = ()  # Width and height of the first image [px]; empty: there is none
 
 
 def look(path: Path, progress: Report) -> str:

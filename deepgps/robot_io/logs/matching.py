@@ -22,49 +22,32 @@ IN_PLACE_M, NEARBY_M = 0.02, 0.3
 """Way between two segments up to which the robot turned in place, and up to which the next one begins nearby [m]."""
 DOUBTFUL_M = 0.12
 """Before the robot backs off, it has touched something: its wheels may have slipped over this last distance [m]."""
-CLOSE = 0.4
-"""The last images of a segment are at least this part of the spacing apart."""
+CLOSE = 0.4  # The last images of a segment are at least this part of the spacing apart
 IN_PLACE, BACKED_OFF, RELOCATED = (KINDS.index(name) for name in ("in_place", "backed_off", "relocated"))
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What a recording is made of; images are numbered as in the log.
+    """What a recording is made of; images are numbered as in the log."""
 
-    Attributes:
-        observation: Image of each observation (N,).
-        reading: Segment, observation, ticks of the left and of the right wheel (R, 4).
-        time_s: Time of each reading (R,) [s].
-        turn_image: Image after each turn in place (K,).
-        turns: As stored in a recording (T, 4).
-        motions: Number of the motion of each segment (S,).
-    """
-
-    observation: np.ndarray
-    reading: np.ndarray
-    time_s: np.ndarray
-    turn_image: np.ndarray
-    turns: np.ndarray
-    motions: tuple[int, ...]
+    observation: np.ndarray  # Image of each observation (N,)
+    reading: np.ndarray  # Segment, observation, ticks of the left and of the right wheel (R, 4)
+    time_s: np.ndarray  # Time of each reading (R,) [s]
+    turn_image: np.ndarray  # Image after each turn in place (K,)
+    turns: np.ndarray  # As stored in a recording (T, 4)
+    motions: tuple[int, ...]  # Number of the motion of each segment (S,)
 
 
 @dataclass(frozen=True)
 class Images:
-    """The images of a log whose time is known and at whose time the wheels' angles are.
+    """The images of a log whose time is known and at whose time the wheels' angles are."""
 
-    Attributes:
-        number: Number of each in the log (m,).
-        time_s: Its time (m,) [s], increasing.
-        wheel_s: The time of the wheels' messages that tell where the robot was then (m,) [s]: later by their lag.
-        angle: The wheels' angles then (m, 2) [rad].
-        path: Distance and heading then.
-    """
-
-    number: np.ndarray
-    time_s: np.ndarray
+    number: np.ndarray  # Number of each in the log (m,)
+    time_s: np.ndarray  # Its time (m,) [s], increasing
+    # The time of the wheels' messages that tell where the robot was then (m,) [s]: later by their lag
     wheel_s: np.ndarray
-    angle: np.ndarray
-    path: Path
+    angle: np.ndarray  # The wheels' angles then (m, 2) [rad]
+    path: Path  # Distance and heading then
 
 
 def plan_recording(
@@ -224,8 +207,7 @@ MOST = 0.95
 """Part of the drive that images must cover, and part of the images that must be taken during it; else it is noted."""
 GAP_S, GAPS = 1.0, 5.0
 """Time between two images in which the drive is not seen [s], if it is also this multiple of the usual time."""
-REACH = 0.9
-"""Part of the polar image's angle that the camera must see all around; otherwise it is noted."""
+REACH = 0.9  # Part of the polar image's angle that the camera must see all around; otherwise it is noted
 LEFT_OUT = {"arc": "arcs", "back": "backward motions", "rest": "rests", "unknown": "gaps"}
 """Kinds of motion that hold neither segments nor turns, and their names in the plural."""
 

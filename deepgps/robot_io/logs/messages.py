@@ -16,20 +16,16 @@ from sim.geometry import wrap
 
 JOINT_STATE, ODOMETRY = "sensor_msgs/msg/JointState", "nav_msgs/msg/Odometry"
 WHEEL_KINDS = (JOINT_STATE, ODOMETRY)
-LEAST_LENGTH = 1e-6
-"""Length of a quaternion up to which it tells no orientation."""
-MOST_SIDEWAYS = 0.2
-"""Part of an odometry's path that may go sideways; more, and its orientation is wrong."""
-UNUSABLE = "the position or the quaternion is not finite, or the quaternion is 0"
-"""Why a message of a pose is left out."""
+LEAST_LENGTH = 1e-6  # Length of a quaternion up to which it tells no orientation
+MOST_SIDEWAYS = 0.2  # Part of an odometry's path that may go sideways; more, and its orientation is wrong
+UNUSABLE = "the position or the quaternion is not finite, or the quaternion is 0"  # Why a message of a pose is left out
 POSE_KINDS = (
     "geometry_msgs/msg/PoseStamped",
     "geometry_msgs/msg/PoseWithCovarianceStamped",
     "geometry_msgs/msg/TransformStamped",
     "nav_msgs/msg/Odometry",
 )
-GAP_S = 0.5
-"""Longest time between two poses across which they are interpolated [s]."""
+GAP_S = 0.5  # Longest time between two poses across which they are interpolated [s]
 
 
 @dataclass
@@ -37,24 +33,16 @@ class WheelLog:
     """The wheels of a log, in the order in which they were logged.
 
     Only positions are read: TurtleBot3 writes m/s where the message promises rad/s.
-
-    Attributes:
-        config: Topic, names and sizes of the wheels.
-        from_odometry: Whether the angles are computed from an odometry's path.
-        log_ns: When each message was logged (n,) [ns].
-        stamp_ns: Its stamp (n,) [ns]; 0: none.
-        values: Angles of the left and of the right wheel [rad], in turn; NaN where a message lacks one.
-        without: Messages without any wheel.
-        names: Names of all joints.
     """
 
-    config: WheelConfig
-    from_odometry: bool
-    log_ns: array = field(default_factory=lambda: array("q"))
-    stamp_ns: array = field(default_factory=lambda: array("q"))
+    config: WheelConfig  # Topic, names and sizes of the wheels
+    from_odometry: bool  # Whether the angles are computed from an odometry's path
+    log_ns: array = field(default_factory=lambda: array("q"))  # When each message was logged (n,) [ns]
+    stamp_ns: array = field(default_factory=lambda: array("q"))  # Its stamp (n,) [ns]; 0: none
+    # Angles of the left and of the right wheel [rad], in turn; NaN where a message lacks one
     values: array = field(default_factory=lambda: array("d"))
-    without: int = 0
-    names: set[str] = field(default_factory=set)
+    without: int = 0  # Messages without any wheel
+    names: set[str] = field(default_factory=set)  # Names of all joints
     _path: "OdometryPath | None" = None
 
     @property
@@ -176,19 +164,12 @@ def read_yaw(turn: Any) -> float:
 
 @dataclass
 class PoseLog:
-    """Poses in the order in which they were logged.
+    """Poses in the order in which they were logged."""
 
-    Attributes:
-        log_ns: When each was logged (n,) [ns].
-        stamp_ns: Its stamp (n,) [ns]; 0: none.
-        values: x, y [m] and yaw [rad] of each, one after the other.
-        without: Messages that tell no pose and are left out.
-    """
-
-    log_ns: array = field(default_factory=lambda: array("q"))
-    stamp_ns: array = field(default_factory=lambda: array("q"))
-    values: array = field(default_factory=lambda: array("d"))
-    without: int = 0
+    log_ns: array = field(default_factory=lambda: array("q"))  # When each was logged (n,) [ns]
+    stamp_ns: array = field(default_factory=lambda: array("q"))  # Its stamp (n,) [ns]; 0: none
+    values: array = field(default_factory=lambda: array("d"))  # x, y [m] and yaw [rad] of each, one after the other
+    without: int = 0  # Messages that tell no pose and are left out
 
     @property
     def pose(self) -> np.ndarray:

@@ -23,17 +23,11 @@ cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)  # pyright: ign
 
 
 class Encoding(NamedTuple):
-    """How pixels are stored.
+    """How pixels are stored."""
 
-    Attributes:
-        channels: Bytes of a pixel.
-        code: OpenCV's conversion to RGB; None: they are RGB.
-        extra: Rows of the image that follow as one of colours, as a fraction of its height.
-    """
-
-    channels: int
-    code: int | None
-    extra: float = 0.0
+    channels: int  # Bytes of a pixel
+    code: int | None  # OpenCV's conversion to RGB; None: they are RGB
+    extra: float = 0.0  # Rows of the image that follow as one of colours, as a fraction of its height
 
 
 ENCODINGS = {
@@ -132,17 +126,11 @@ def decode_compressed(message: Any) -> np.ndarray:
 
 @dataclass
 class ImageList:
-    """Times of a topic's images, in the order in which they were logged.
+    """Times of a topic's images, in the order in which they were logged."""
 
-    Attributes:
-        topic: The topic.
-        log_ns: When each was logged (n,) [ns].
-        stamp_ns: Its stamp (n,) [ns]; 0: none.
-    """
-
-    topic: str
-    log_ns: array = field(default_factory=lambda: array("q"))
-    stamp_ns: array = field(default_factory=lambda: array("q"))
+    topic: str  # The topic
+    log_ns: array = field(default_factory=lambda: array("q"))  # When each was logged (n,) [ns]
+    stamp_ns: array = field(default_factory=lambda: array("q"))  # Its stamp (n,) [ns]; 0: none
 
     def take(self, sample: Sample, part: Part) -> None:
         """Note the times of an image, without decoding it."""

@@ -14,56 +14,35 @@ from deepgps.robot_io.logs.wheels import Wheels
 
 Kind = Literal["straight", "turn", "rest", "arc", "back", "unknown"]
 KINDS: tuple[Kind, ...] = ("straight", "turn", "rest", "arc", "back", "unknown")
-WINDOW_S = 0.1
-"""Speeds are measured over this much before and after [s]."""
-REST_MPS = 0.005
-"""Speed of both rims up to which the robot rests [m/s]."""
-DRIVING_MPS = 0.025
-"""Speed from which the usual curvature and the noise of turn rates are measured [m/s]."""
-DEVIATIONS = 3.0
-"""Standard deviations of turn rates by which a straight drive may seem to turn."""
-CURVED_PER_M = 0.25
-"""Curvature from which a drive is an arc [1/m]: a radius of 4 m."""
-CURVED_RADPS = 0.02
-"""Turn rate of a straight drive that is always allowed, for the encoders' resolution [rad/s]."""
-USUAL_PER_M = 0.15
-"""Largest curvature that is taken off as the usual one [1/m]."""
-BENT_RAD = np.radians(8.0)
-"""Largest change of heading on a segment [rad]."""
-JOIN_RAD = np.radians(1.0)
-"""Heading that may change where a segment speeds up or brakes, or rests in between [rad]."""
-JOIN_M = 0.03
-"""Way of a motion that is too short to count, between two that do [m]."""
+WINDOW_S = 0.1  # Speeds are measured over this much before and after [s]
+REST_MPS = 0.005  # Speed of both rims up to which the robot rests [m/s]
+DRIVING_MPS = 0.025  # Speed from which the usual curvature and the noise of turn rates are measured [m/s]
+DEVIATIONS = 3.0  # Standard deviations of turn rates by which a straight drive may seem to turn
+CURVED_PER_M = 0.25  # Curvature from which a drive is an arc [1/m]: a radius of 4 m
+CURVED_RADPS = 0.02  # Turn rate of a straight drive that is always allowed, for the encoders' resolution [rad/s]
+USUAL_PER_M = 0.15  # Largest curvature that is taken off as the usual one [1/m]
+BENT_RAD = np.radians(8.0)  # Largest change of heading on a segment [rad]
+JOIN_RAD = np.radians(1.0)  # Heading that may change where a segment speeds up or brakes, or rests in between [rad]
+JOIN_M = 0.03  # Way of a motion that is too short to count, between two that do [m]
 SHORTEST_M, SHORTEST_BACK_M = 0.03, 0.015
 """Shortest segment and shortest way back [m]; what is shorter is an arc. Wheels that come to rest do not back off."""
 
 
 @dataclass(frozen=True)
 class Motion:
-    """A part of the drive.
+    """A part of the drive."""
 
-    Attributes:
-        kind: What the robot did.
-        first: Number of the first message of the wheels in it.
-        last: Number of the last one.
-    """
-
-    kind: Kind
-    first: int
-    last: int
+    kind: Kind  # What the robot did
+    first: int  # Number of the first message of the wheels in it
+    last: int  # Number of the last one
 
 
 @dataclass(frozen=True)
 class Path:
-    """How far the robot drove and turned by its wheels.
+    """How far the robot drove and turned by its wheels."""
 
-    Attributes:
-        travelled_m: Distance at each message of the wheels (n,) [m].
-        yaw: Heading at each (n,) [rad].
-    """
-
-    travelled_m: np.ndarray
-    yaw: np.ndarray
+    travelled_m: np.ndarray  # Distance at each message of the wheels (n,) [m]
+    yaw: np.ndarray  # Heading at each (n,) [rad]
 
     def find_way(self, motion: Motion) -> float:
         """Distance driven in a motion, forward or backward [m]."""

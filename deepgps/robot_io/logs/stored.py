@@ -22,31 +22,19 @@ FOREIGN = ("jsonschema", "protobuf", "flatbuffer", "ros1msg")
 
 
 class Sample(NamedTuple):
-    """A message of a log.
+    """A message of a log."""
 
-    Attributes:
-        topic: Its topic.
-        log_ns: When it was logged, by the recorder's clock [ns].
-        stamp_ns: Its header's stamp, by the clock of who sent it [ns]; 0: it has none.
-        data: The message as it is stored, for ``Part.decode``.
-    """
-
-    topic: str
-    log_ns: int
-    stamp_ns: int
-    data: Any
+    topic: str  # Its topic
+    log_ns: int  # When it was logged, by the recorder's clock [ns]
+    stamp_ns: int  # Its header's stamp, by the clock of who sent it [ns]; 0: it has none
+    data: Any  # The message as it is stored, for ``Part.decode``
 
 
 class Part(Protocol):
-    """A file of a log, or a folder of files with one index.
+    """A file of a log, or a folder of files with one index."""
 
-    Attributes:
-        types: Type of each topic, such as ``sensor_msgs/msg/JointState``.
-        counts: Number of messages of each topic where an index tells it.
-    """
-
-    types: dict[str, str]
-    counts: dict[str, int]
+    types: dict[str, str]  # Type of each topic, such as ``sensor_msgs/msg/JointState``
+    counts: dict[str, int]  # Number of messages of each topic where an index tells it
 
     def read(self, topics: Collection[str]) -> Iterator[Sample]:
         """The messages of some topics."""

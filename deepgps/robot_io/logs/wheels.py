@@ -12,57 +12,39 @@ import numpy as np
 from deepgps.data.segments import find_stretches
 from sim.errors import InputError
 
-COARSE = 0.125
-"""Smallest step of an angle over its usual step between two messages, from which its encoder is coarse."""
-SMALLEST = 1.0
-"""Percentile of the steps that counts as the smallest; smaller ones may be repairs."""
+COARSE = 0.125  # Smallest step of an angle over its usual step between two messages, from which its encoder is coarse
+SMALLEST = 1.0  # Percentile of the steps that counts as the smallest; smaller ones may be repairs
 WAIT_S, SETTLE_S = 0.3, 0.15
 """Time between two counts after which the wheel may have rested between them, and the time in which it comes to rest
 after a count, or begins to turn before the next one [s]."""
-COARSEST = 12
-"""Ticks per revolution below which turns in place are not found reliably; 16 were enough in tests."""
-GAP_S = 0.3
-"""Longest time between two messages across which angles are interpolated while the robot moves [s]."""
+COARSEST = 12  # Ticks per revolution below which turns in place are not found reliably; 16 were enough in tests
+GAP_S = 0.3  # Longest time between two messages across which angles are interpolated while the robot moves [s]
 LOST_S = 1.0
 """Time without a message after which the way is unknown, if the robot moved: a counter may have restarted [s]."""
 PAUSE_S = 5.0
 """Time without a message of the wheels or an image after which the robot may have been carried elsewhere [s]."""
-STILL_RAD = 0.05
-"""Angle up to which a wheel has not moved in a gap [rad]."""
-FASTER = 3.0
-"""A step is a jump if the wheel would have been faster than this multiple of its usual top speed."""
-SLOWEST_RADPS = 1.0
-"""Least top speed that is assumed [rad/s]."""
-MANY = 0.02
-"""Share of jumps from which another program is assumed to publish the same joints."""
-MOST_BACK = 8
-"""Messages in a row after each of which a wheel turns back: no robot moves so."""
-BACK_AND_FORTH = 0.1
-"""The same share of messages of which one wheel jumps there and back."""
-LEAST = 20
-"""Fewest messages of wheels that a drive has."""
-MOST_NOTES = 5
-"""Notes of one kind."""
+STILL_RAD = 0.05  # Angle up to which a wheel has not moved in a gap [rad]
+FASTER = 3.0  # A step is a jump if the wheel would have been faster than this multiple of its usual top speed
+SLOWEST_RADPS = 1.0  # Least top speed that is assumed [rad/s]
+MANY = 0.02  # Share of jumps from which another program is assumed to publish the same joints
+MOST_BACK = 8  # Messages in a row after each of which a wheel turns back: no robot moves so
+BACK_AND_FORTH = 0.1  # The same share of messages of which one wheel jumps there and back
+LEAST = 20  # Fewest messages of wheels that a drive has
+MOST_NOTES = 5  # Notes of one kind
 
 
 @dataclass(frozen=True)
 class Wheels:
-    """The wheels' angles over time.
+    """The wheels' angles over time."""
 
-    Attributes:
-        time_s: Times (n,) [s], increasing.
-        angle: Angles of the left and right wheel (n, 2) [rad]; continuous, as if a counter that restarts went on.
-        broken: Whether the motion between a message and the next is unknown (n - 1,): the counter restarted, or nothing
-            was logged for long.
-        gap: Whether there is a gap between them in which the robot moved (n - 1,).
-        notes: What was repaired.
-    """
-
-    time_s: np.ndarray
+    time_s: np.ndarray  # Times (n,) [s], increasing
+    # Angles of the left and right wheel (n, 2) [rad]; continuous, as if a counter that restarts went on
     angle: np.ndarray
+    # Whether the motion between a message and the next is unknown (n - 1,): the counter restarted, or nothing was
+    # logged for long
     broken: np.ndarray
-    gap: np.ndarray
-    notes: tuple[str, ...] = ()
+    gap: np.ndarray  # Whether there is a gap between them in which the robot moved (n - 1,)
+    notes: tuple[str, ...] = ()  # What was repaired
 
     def at(self, time_s: np.ndarray) -> np.ndarray:
         """Angles (m, 2) [rad] at some times (m,) [s]; NaN outside the log and inside gaps."""

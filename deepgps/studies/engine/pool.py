@@ -16,12 +16,9 @@ from sim.errors import InputError, WorkError, one_line
 from sim.processes import WORKERS
 
 log = logging.getLogger(__name__)
-Failures = dict[str, str]
-"""Reasons why runs failed, by the hash of the run."""
-Tell = Callable[[int], None]
-"""Called with how much of a task is done."""
-PERIOD_S = 0.2
-"""Time between two looks at the progress of the workers [s]."""
+Failures = dict[str, str]  # Reasons why runs failed, by the hash of the run
+Tell = Callable[[int], None]  # Called with how much of a task is done
+PERIOD_S = 0.2  # Time between two looks at the progress of the workers [s]
 NOT_BEGUN = -1
 KILLED = "its process was killed, perhaps for lack of memory"
 _SHARED: list[MutableSequence[int]] = []

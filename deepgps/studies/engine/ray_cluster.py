@@ -25,8 +25,7 @@ from deepgps.terminal.progress import Report, ignore
 from sim.errors import InputError, one_line
 from sim.processes import ENDINGS, usable_cores
 
-RETRIES = 2
-"""How often to retry a run whose process or machine was lost; the run continues from its last checkpoint."""
+RETRIES = 2  # How often to retry a run whose process or machine was lost; the run continues from its last checkpoint
 KNOCK_S = 5.0
 ENVIRONMENT = {
     "RAY_USAGE_STATS_ENABLED": "0",

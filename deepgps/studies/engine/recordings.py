@@ -28,25 +28,17 @@ from sim.recording.derive import (
 )
 from sim.recording.format import is_whole
 
-PER_PROCESS = 1000
-"""Samples for which it pays to start one more process that drives."""
+PER_PROCESS = 1000  # Samples for which it pays to start one more process that drives
 
 
 @dataclass(frozen=True)
 class CollectTask:
-    """A drive to collect, perhaps in a worker process. Its size is the number of its samples.
+    """A drive to collect, perhaps in a worker process. Its size is the number of its samples."""
 
-    Attributes:
-        scenario: What to collect.
-        folder: The recording's folder.
-        base: Folder of a recording with the same training drive, which may be its own.
-        renderers: Processes that draw; None: as many as pay on all cores.
-    """
-
-    scenario: Scenario
-    folder: Path
-    base: Path
-    renderers: int | None
+    scenario: Scenario  # What to collect
+    folder: Path  # The recording's folder
+    base: Path  # Folder of a recording with the same training drive, which may be its own
+    renderers: int | None  # Processes that draw; None: as many as pay on all cores
 
     @property
     def size(self) -> int:

@@ -55,15 +55,10 @@ class RunTask:
 
 @dataclass(frozen=True)
 class DiagnoseTask:
-    """Recordings of the same images to diagnose: the angles that the camera sees are found once.
+    """Recordings of the same images to diagnose: the angles that the camera sees are found once."""
 
-    Attributes:
-        runs: Folder of each run, which gets a ``diagnosis.json``.
-        recordings: Folder of each run's recording.
-    """
-
-    runs: Sequence[Path]
-    recordings: Sequence[Path]
+    runs: Sequence[Path]  # Folder of each run, which gets a ``diagnosis.json``
+    recordings: Sequence[Path]  # Folder of each run's recording
 
     @property
     def size(self) -> int:

@@ -24,8 +24,7 @@ from sim.recording.derive import NOT_LEARNED
 from sim.recording.format import Recording, open_recording
 
 log = logging.getLogger(__name__)
-TRAINED = re.compile(f"{TRAINED_FILES}|{FEATURE_FILES}")
-"""Names of the files of a training or of features."""
+TRAINED = re.compile(f"{TRAINED_FILES}|{FEATURE_FILES}")  # Names of the files of a training or of features
 
 
 def take_trainings(scenario: Scenario, run: Path) -> None:

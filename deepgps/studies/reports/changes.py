@@ -55,8 +55,7 @@ CHANGE_NOTE = (
     "none of the changes but that of the light, and that only with several lights: daylight 0.3, lamps off, night. "
     "Test positions that moved furniture covers are left out."
 )
-DRIVES = "drives"
-"""The column of the report "knowing" that holds drives in use as JSON."""
+DRIVES = "drives"  # The column of the report "knowing" that holds drives in use as JSON
 KNOWING_NOTE = (
     "All of the drive in use. Refused: share of its images; then the share of the images with each cause, also of "
     "accepted ones where the light has changed or images are frozen. Named: the causes of the drive, that of most "

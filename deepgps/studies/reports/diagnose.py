@@ -24,10 +24,8 @@ LIMITS: dict[str, tuple[float, float]] = {
 }
 """Smallest and largest strength in the study ``encoder``; errors may have either sign."""
 BOTH_RADII = ("encoder.radius_error_left", "encoder.radius_error_right")
-SHORTER = (10, 9, 8, 7, 6)
-"""Lengths of the recordings without faults, in tenths of the drive."""
-ALONE, PAIRS = 11, 2
-"""Recordings of each drive with one fault, and with two."""
+SHORTER = (10, 9, 8, 7, 6)  # Lengths of the recordings without faults, in tenths of the drive
+ALONE, PAIRS = 11, 2  # Recordings of each drive with one fault, and with two
 WHEEL = "robot.wheel_radius_error"
 FAULTS = ("radius", "wheel", "track", "slip", "step_noise", "ticks", "dropout", "stuck")
 ALIKE = "both radii alike"
@@ -41,8 +39,7 @@ QUANTITIES = {
     "stuck_fraction": ("gaps with a stuck wheel", ("stuck",)),
 }
 """Quantities with an interval, in words, and the faults that change them; ticks are counted."""
-RELATIVE = ("track_m", "reading_ratio", "wheel_ratio")
-"""Quantities whose errors are relative."""
+RELATIVE = ("track_m", "reading_ratio", "wheel_ratio")  # Quantities whose errors are relative
 NOTE = (
     "Faults of one recording, alone: rows are what was set, columns what was diagnosed; a recording with two findings "
     "counts in two columns. A fault below the smallest size that its diagnosis states (ticks shorter than 2 mm) is not "

@@ -23,10 +23,8 @@ TITLES: dict[Names, str] = {
     **{tuple(f"encoder.{name}" for name in fault.settings): fault.title for fault in FAULTS},
     (UNEQUAL_WHEELS,): "left wheel larger by this part: the robot curves",
 }
-NEAR_M = (0.02, 0.05)
-"""Errors that count as good enough, for two kinds of builders [m]."""
-PART = 0.8
-"""The part of the test positions whose errors must be good enough."""
+NEAR_M = (0.02, 0.05)  # Errors that count as good enough, for two kinds of builders [m]
+PART = 0.8  # The part of the test positions whose errors must be good enough
 NOTE = (
     f"The strongest fault at which at least {100 * PART:g} % of the test positions, each at its worst heading, are "
     "still within this distance of the truth (mean over seeds) is enough. RMS is not the criterion, since it is "

@@ -43,8 +43,7 @@ LARGE_M = 0.1
 SEEN, FEWEST = 0.7, 10
 """Share of the map that is learned for the drive that goes beyond it; with fewer segments it is left out."""
 Spoil = Callable[[np.ndarray], np.ndarray]
-THROUGH = 0.04
-"""Share of the light that a covered lens lets through from where it comes; the rest is scattered evenly."""
+THROUGH = 0.04  # Share of the light that a covered lens lets through from where it comes; the rest is scattered evenly
 
 
 def cover(images: np.ndarray) -> np.ndarray:

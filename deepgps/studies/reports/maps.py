@@ -38,8 +38,7 @@ MAPS_NOTE = (
 )
 SIGNS = {"fold_found": "folded", "turned": "turned", "undecided": "undecided"}
 """Columns that say that a map is wrong, and their words: the fold detector, parts turned by the compass, the map."""
-FAR_SHARE = 0.1
-"""A map is wrong if it misplaces more than this share of the training images."""
+FAR_SHARE = 0.1  # A map is wrong if it misplaces more than this share of the training images
 CORRIDORS_NOTE = (
     f"{GRID}Map: RMS of the initial map by compass, before training. Off: share of the training images that are placed "
     f"more than 0.5 m from the truth; a map with more than {100 * FAR_SHARE:.0f} % is wrong. Said: what the "
@@ -50,8 +49,7 @@ CORRIDORS_NOTE = (
 SHAPE = "room.shape"
 EDGES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 1.0)
 """Edges of the bins of reach, as shares of the floor, into which positions are sorted."""
-LITTLE, BINS = 2, len(EDGES) - 1
-"""Number of leading bins that count as reaching little of the room, and of all bins."""
+LITTLE, BINS = 2, len(EDGES) - 1  # Number of leading bins that count as reaching little of the room, and of all bins
 CONCAVE_NOTE = (
     "Reach: share of the accessible floor that the robot can reach from a position by one straight drive. Positions "
     "of all rooms are pooled; errors are for the worst heading. PoseNet learns from true positions, so errors that "

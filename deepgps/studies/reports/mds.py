@@ -28,40 +28,25 @@ from sim.errors import InputError
 from sim.geometry import FreeSpace
 from sim.recording.format import open_recording, open_truth
 
-POSITIONS = 1500
-"""Maximum number of grid positions for scaling."""
-PAIRED = 250
-"""Maximum number of positions among which all pairs are evaluated."""
-LARGEST = 10
-"""Number of eigenvalues that are kept."""
+POSITIONS = 1500  # Maximum number of grid positions for scaling
+PAIRED = 250  # Maximum number of positions among which all pairs are evaluated
+LARGEST = 10  # Number of eigenvalues that are kept
 COLOURS = ("#0b62d6", "#1a936f", "#e07b00", "#c2255c", "#7a4fbf", "#4b5563")
 
 
 @dataclass(frozen=True)
 class Distances:
-    """The distances that a network predicts between positions of the test grid.
+    """The distances that a network predicts between positions of the test grid."""
 
-    Attributes:
-        truth: True positions (n, 2) [m].
-        own: The network's own predictions of them (n, 2) [m], aligned.
-        scaled: The map by classical scaling (n, 2) [m], aligned.
-        dimensions: Number of outputs of the network.
-        eigenvalues: The largest eigenvalues of the centred squared distances, descending [m^2].
-        planar: Share of the two largest eigenvalues in the sum of all absolute eigenvalues.
-        true: True distance of each pair (p,) [m].
-        predicted: The network's distance of each pair (p,) [m].
-        joined: Whether the robot could drive between the two positions of a pair in a straight line (p,).
-    """
-
-    truth: np.ndarray
-    own: np.ndarray
-    scaled: np.ndarray
-    dimensions: int
-    eigenvalues: np.ndarray
-    planar: float
-    true: np.ndarray
-    predicted: np.ndarray
-    joined: np.ndarray
+    truth: np.ndarray  # True positions (n, 2) [m]
+    own: np.ndarray  # The network's own predictions of them (n, 2) [m], aligned
+    scaled: np.ndarray  # The map by classical scaling (n, 2) [m], aligned
+    dimensions: int  # Number of outputs of the network
+    eigenvalues: np.ndarray  # The largest eigenvalues of the centred squared distances, descending [m^2]
+    planar: float  # Share of the two largest eigenvalues in the sum of all absolute eigenvalues
+    true: np.ndarray  # True distance of each pair (p,) [m]
+    predicted: np.ndarray  # The network's distance of each pair (p,) [m]
+    joined: np.ndarray  # Whether the robot could drive between the two positions of a pair in a straight line (p,)
 
 
 def add_distances(run: Path, row: Row) -> Row:

@@ -19,8 +19,7 @@ from deepgps.studies.reports.render import pick, resolve, take
 from deepgps.studies.table import Row, choices, describe, find_methods, mean, split_by, split_by_label
 
 DECADE, MANY = 10.0, 1e5
-WIDTH = 0.6
-"""Part of a case's height over which the dots of its methods are spread."""
+WIDTH = 0.6  # Part of a case's height over which the dots of its methods are spread
 POINT_COLOURS = ("#2a6f97", "#d1495b", "#e07b00", "#1a936f", "#7a4fbf", "#4b5563")
 LEGEND: Mapping[str, Any] = {"loc": "outside upper center", "frameon": False, "fontsize": 8}
 LINES = ("k:", "k--", "k-.", "k-")

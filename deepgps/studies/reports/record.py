@@ -23,133 +23,77 @@ class Table(NamedTuple):
     A cell is the mean of a line's values, the number of those that are true, or the first text; a column may name what
     is taken instead, as in ``rms_m:max``. ``rms_m/base`` is the mean of rms_m by that of base_rms_m, and ``runs``
     counts rows. A column without any value is left out. Headings are in ``render.HEADINGS``, units in ``targets``.
-
-    Attributes:
-        by: Columns whose values make the lines, separated by spaces.
-        columns: The other columns, separated by spaces.
-        where: The rows that it is made of.
-        section: A column of which each value has a table of its own, with the value as its heading.
-        title: Its heading, where it has no sections.
-        across: A column whose values each have the columns ``each``, side by side.
-        each: These columns.
-        summary: Last lines for each method: any of mean, std and worst.
-        take: What is taken of values in place of their mean.
-        length: Unit of lengths.
     """
 
-    by: str
-    columns: str
-    where: Where = EVERY
-    section: str | None = None
-    title: str | None = None
-    across: str | None = None
-    each: str = ""
-    summary: str = ""
-    take: str = "mean"
-    length: str = "cm"
+    by: str  # Columns whose values make the lines, separated by spaces
+    columns: str  # The other columns, separated by spaces
+    where: Where = EVERY  # The rows that it is made of
+    section: str | None = None  # A column of which each value has a table of its own, with the value as its heading
+    title: str | None = None  # Its heading, where it has no sections
+    across: str | None = None  # A column whose values each have the columns ``each``, side by side
+    each: str = ""  # These columns
+    summary: str = ""  # Last lines for each method: any of mean, std and worst
+    take: str = "mean"  # What is taken of values in place of their mean
+    length: str = "cm"  # Unit of lengths
 
 
 class Target(NamedTuple):
     """A figure that a study can set a target for, or that the paper has.
 
     Name and title may hold columns in braces, also {label}, the method in words, and {count}, the number of values.
-
-    Attributes:
-        name: Its name in a study's ``target`` and ``paper``.
-        title: What it measures.
-        of: A column as in a table; what is taken is the mean, median, share, count, or ratio of the means of all.
-        where: The rows that it is measured on.
-        base: Other rows, by whose mean the mean of these is divided.
-        base_of: Their column; none: the same.
-        each: A column; the mean of the worst of its groups counts.
-        per: Columns of which each combination has a figure, separated by spaces.
-        at_least: Whether a target is a minimum rather than a maximum.
-        unit: One of ``targets.FORMS``; none: that of the column.
     """
 
-    name: str
-    title: str
-    of: str
-    where: Where = EVERY
-    base: Where | None = None
-    each: str | None = None
-    per: str = ""
-    at_least: bool = False
-    unit: str | None = None
-    base_of: str | None = None
+    name: str  # Its name in a study's ``target`` and ``paper``
+    title: str  # What it measures
+    of: str  # A column as in a table; what is taken is the mean, median, share, count, or ratio of the means of all
+    where: Where = EVERY  # The rows that it is measured on
+    base: Where | None = None  # Other rows, by whose mean the mean of these is divided
+    each: str | None = None  # A column; the mean of the worst of its groups counts
+    per: str = ""  # Columns of which each combination has a figure, separated by spaces
+    at_least: bool = False  # Whether a target is a minimum rather than a maximum
+    unit: str | None = None  # One of ``targets.FORMS``; none: that of the column
+    base_of: str | None = None  # Their column; none: the same
 
 
 class Dots(NamedTuple):
-    """A line for each case, with errors along a logarithmic axis: runs small, their mean large; the paper's a diamond.
+    """A line for each case, errors along a logarithmic axis: runs small, their mean large, the paper's a diamond."""
 
-    Attributes:
-        line: Columns that make a case, separated by spaces.
-        panel: A column of which each value has a panel.
-        marks: Title of a panel, and the columns drawn filled and open [m].
-        words: What filled and open mean.
-        clean: Rows of each method whose means are drawn as lines through all cases.
-        cross: Rows whose first error is crossed out.
-    """
-
-    line: str
-    panel: str | None = None
+    line: str  # Columns that make a case, separated by spaces
+    panel: str | None = None  # A column of which each value has a panel
+    # Title of a panel, and the columns drawn filled and open [m]
     marks: tuple[tuple[str, str, str], ...] = (("", "rms_m", "median_m"),)
-    words: str = "filled: RMS, open: median"
-    clean: Where | None = None
-    cross: Where | None = None
+    words: str = "filled: RMS, open: median"  # What filled and open mean
+    clean: Where | None = None  # Rows of each method whose means are drawn as lines through all cases
+    cross: Where | None = None  # Rows whose first error is crossed out
 
 
 class Curves(NamedTuple):
-    """A curve for each method along an axis, with a band from the least to the greatest of the seeds.
+    """A curve for each method along an axis, with a band from the least to the greatest of the seeds."""
 
-    Attributes:
-        panel: A column of which each value has a panel.
-        axis: The column along which curves run.
-        label: What the axis is, in words or in a column of this name; None: the panel's name.
-        of: The values, drawn times 100.
-        unit: Their unit.
-        also: Other columns of the methods that have them, and their words.
-        lines: Columns that all methods share, and what each of them is.
-        even: Whether the values of the axis are evenly spaced.
-        where: The rows that are drawn.
-    """
-
-    panel: str
-    axis: str
-    label: str | None = None
-    of: str = "rms_m"
-    unit: str = "error [cm]"
-    also: Mapping[str, str] = EVERY
-    lines: Mapping[str, str] = EVERY
-    even: bool = False
-    where: Where = EVERY
+    panel: str  # A column of which each value has a panel
+    axis: str  # The column along which curves run
+    label: str | None = None  # What the axis is, in words or in a column of this name; None: the panel's name
+    of: str = "rms_m"  # The values, drawn times 100
+    unit: str = "error [cm]"  # Their unit
+    also: Mapping[str, str] = EVERY  # Other columns of the methods that have them, and their words
+    lines: Mapping[str, str] = EVERY  # Columns that all methods share, and what each of them is
+    even: bool = False  # Whether the values of the axis are evenly spaced
+    where: Where = EVERY  # The rows that are drawn
 
 
 class Scatter(NamedTuple):
-    """A point for each row.
+    """A point for each row."""
 
-    Attributes:
-        points: Columns along the two axes, and the title of each panel.
-        by: The column that gives the colour.
-        panel: A column of which each value has a panel, in place of the titles.
-        bars: Columns of the lower and upper ends of intervals of the second.
-        equal: Whether a line is drawn where both are equal.
-        log: Whether both axes are logarithmic.
-        limit: Where a vertical line is drawn.
-        factor: By which values are multiplied.
-        where: The rows that are drawn.
-    """
-
-    points: tuple[tuple[str, str, str], ...]
-    by: str
+    points: tuple[tuple[str, str, str], ...]  # Columns along the two axes, and the title of each panel
+    by: str  # The column that gives the colour
     labels: tuple[str, str]
-    panel: str | None = None
-    bars: tuple[str, str] | None = None
-    equal: bool = False
-    log: bool = False
-    limit: float | None = None
-    factor: float = 100.0
-    where: Where = EVERY
+    panel: str | None = None  # A column of which each value has a panel, in place of the titles
+    bars: tuple[str, str] | None = None  # Columns of the lower and upper ends of intervals of the second
+    equal: bool = False  # Whether a line is drawn where both are equal
+    log: bool = False  # Whether both axes are logarithmic
+    limit: float | None = None  # Where a vertical line is drawn
+    factor: float = 100.0  # By which values are multiplied
+    where: Where = EVERY  # The rows that are drawn
 
 
 class Fields(NamedTuple):
@@ -165,46 +109,31 @@ Picture = Dots | Curves | Scatter | Fields | str
 
 @dataclass(frozen=True)
 class StudyReport:
-    """One report. Functions that need torch or matplotlib are named "module:function", modules from this package.
+    """One report. Functions that need torch or matplotlib are named "module:function", modules from this package."""
 
-    Attributes:
-        tables: Its tables, in order.
-        note: How to read them.
-        prepare: (measured rows, names that vary) -> the rows that all else is made of.
-        more: (prepared rows, names that vary) -> further blocks of text, below the tables.
-        targets: Figures with targets.
-        pictures: By file name.
-        columns: (run folder, row) -> the report's own columns in the study's table.
-        draw_runs: (the study's ``set``, its drives as seed and settings) -> seeds and settings of the runs.
-        gather: (plans, failures, the study's folder) -> rows, of a study whose runs are diagnosed and not trained.
-        varies: Settings that must vary in the study's cases or axes, by dotted name.
-        sets: Settings that the study must set, or vary.
-        fixes: Settings that must be a number in the study's ``set``, and cannot vary.
-        networks: Whether it needs methods that train a network.
-        labels: Whether it needs recordings with labels from tags.
-    """
-
-    tables: tuple[Table, ...]
-    note: str = ""
+    tables: tuple[Table, ...]  # Its tables, in order
+    note: str = ""  # How to read them
+    # (measured rows, names that vary) -> the rows that all else is made of
     prepare: Callable[[Sequence[Row], Sequence[str]], list[Row]] | None = None
+    # (prepared rows, names that vary) -> further blocks of text, below the tables
     more: Callable[[Sequence[Row], Sequence[str]], list[str]] | None = None
-    targets: Sequence[Target] = ()
-    pictures: Mapping[str, Picture] = field(default_factory=dict)
-    columns: str | None = None
+    targets: Sequence[Target] = ()  # Figures with targets
+    pictures: Mapping[str, Picture] = field(default_factory=dict)  # By file name
+    columns: str | None = None  # (run folder, row) -> the report's own columns in the study's table
+    # (the study's ``set``, its drives as seed and settings) -> seeds and settings of the runs
     draw_runs: Callable | None = None
+    # (plans, failures, the study's folder) -> rows, of a study whose runs are diagnosed and not trained
     gather: Callable | None = None
-    varies: tuple[str, ...] = ()
-    sets: tuple[str, ...] = ()
-    fixes: tuple[str, ...] = ()
-    networks: bool = False
-    labels: bool = False
+    varies: tuple[str, ...] = ()  # Settings that must vary in the study's cases or axes, by dotted name
+    sets: tuple[str, ...] = ()  # Settings that the study must set, or vary
+    fixes: tuple[str, ...] = ()  # Settings that must be a number in the study's ``set``, and cannot vary
+    networks: bool = False  # Whether it needs methods that train a network
+    labels: bool = False  # Whether it needs recordings with labels from tags
 
 
 GRID = "Errors on the test grid, for the worst heading of each position; aligned on training samples, never scaled. "
-ERRORS = "rms_m median_m p95_m max_m"
-"""The errors that every report shows."""
-PAPERS_ERRORS = {"rms_m": "RMS", "median_m": "median", "max_m": "max"}
-"""The errors in the paper's tables, in words."""
+ERRORS = "rms_m median_m p95_m max_m"  # The errors that every report shows
+PAPERS_ERRORS = {"rms_m": "RMS", "median_m": "median", "max_m": "max"}  # The errors in the paper's tables, in words
 ACCEPTED = "rms_accepted_m max_accepted_m accepted"
 """The errors of what a method accepts, and the share of images that it accepts."""
 RATIOS = "rms_m/base median_m/base p95_m/base max_m/base"

@@ -31,8 +31,7 @@ HEADINGS = {
 }
 """Headings of columns that are not their names."""
 WORDS = {"max": "most", "min": "least", "q90": "90 %"}
-DIGITS, SMALLEST = 3, 1e-4
-"""Significant digits of a cell; smaller numbers have an exponent."""
+DIGITS, SMALLEST = 3, 1e-4  # Significant digits of a cell; smaller numbers have an exponent
 FLIPPED = 0.1
 """Share of flipped neighbourhoods from which a map is folded. In maps of 8,000 images, 1 to 5 % of the neighbourhoods
 were flipped if the map was right, 21 to 47 % if it was folded."""

@@ -24,8 +24,7 @@ from sim.errors import InputError
 from sim.files.atomic import write_bytes, write_text
 from sim.files.checksums import sha256
 
-SUMS = "SHA256SUMS"
-"""List of published files, in the format of sha256sum."""
+SUMS = "SHA256SUMS"  # List of published files, in the format of sha256sum
 
 
 def load(name: str) -> Callable[..., Any]:

@@ -9,8 +9,7 @@ import numpy as np
 from sim.rooms.furniture import textures
 from sim.rooms.furniture.primitives import Body, Look, Rng, ball, box, paint, paper, pole, turned
 
-Cover = tuple[float, float]
-"""Extent along x and y on the ceiling [m]."""
+Cover = tuple[float, float]  # Extent along x and y on the ceiling [m]
 
 
 def pendant(body: Body, rng: Rng, look: Look) -> Cover:

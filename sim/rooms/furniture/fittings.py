@@ -9,8 +9,7 @@ import numpy as np
 from sim.rooms.furniture import pictures, textures
 from sim.rooms.furniture.primitives import WOODS, Body, Look, Rng, block, box, paint, paper, pole
 
-Cover = tuple[float, float, float]
-"""Width, bottom and top of what a fitting covers on its wall [m]."""
+Cover = tuple[float, float, float]  # Width, bottom and top of what a fitting covers on its wall [m]
 
 
 def door(body: Body, rng: Rng, look: Look) -> Cover:

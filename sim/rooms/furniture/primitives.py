@@ -25,19 +25,12 @@ WOODS = ((0.62, 0.42, 0.24), (0.45, 0.28, 0.16), (0.76, 0.58, 0.38), (0.3, 0.19,
 
 @dataclass(frozen=True)
 class Footprint:
-    """What the placer knows about a piece.
+    """What the placer knows about a piece."""
 
-    Attributes:
-        width_m: Extent along x [m].
-        depth_m: Extent along y [m].
-        height_m: Extent along z from the floor [m].
-        front_m: Depth of the floor before the piece that must stay open [m].
-    """
-
-    width_m: float
-    depth_m: float
-    height_m: float
-    front_m: float = 0.0
+    width_m: float  # Extent along x [m]
+    depth_m: float  # Extent along y [m]
+    height_m: float  # Extent along z from the floor [m]
+    front_m: float = 0.0  # Depth of the floor before the piece that must stay open [m]
 
 
 @dataclass(frozen=True)

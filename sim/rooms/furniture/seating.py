@@ -93,8 +93,7 @@ def bed(body: Body, rng: Rng, look: Look, width_m: float = 1.6) -> Footprint:
 
 
 TABLE_TOP_M = 0.74
-KNEES_M = 0.18
-"""Distance from the middle of a desk to the middle of its knee space [m]."""
+KNEES_M = 0.18  # Distance from the middle of a desk to the middle of its knee space [m]
 
 
 def dining_table(body: Body, rng: Rng, look: Look, width_m: float = 1.5, depth_m: float = 0.85) -> Footprint:

@@ -9,10 +9,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-Colour = Sequence[float] | np.ndarray
-"""Red, green, blue in [0, 1]."""
-Shape = tuple[int, int]
-"""Rows and columns of a texture [px]."""
+Colour = Sequence[float] | np.ndarray  # Red, green, blue in [0, 1]
+Shape = tuple[int, int]  # Rows and columns of a texture [px]
 
 
 def noise(rng: np.random.Generator, shape: Shape, cells: tuple[float, float]) -> np.ndarray:

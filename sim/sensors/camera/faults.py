@@ -15,8 +15,7 @@ from sim.rng import stream
 from sim.sensors.catalog import Measure, Measures
 from sim.settings import ImageFaultSettings, SimSettings
 
-LEAST_SECTORS = 1e-6
-"""A smear that is narrower than this, in sectors, is none."""
+LEAST_SECTORS = 1e-6  # A smear that is narrower than this, in sectors, is none
 SENSOR_PX = 480
 """Diameter of the image's circle on the sensor [px]; a polar pixel is the mean of the sensor pixels it covers."""
 _STEPS = 65535  # steps of linear light, far finer than any sRGB step
@@ -140,14 +139,10 @@ _TO_CODE = np.searchsorted(_srgb_to_light((np.arange(255) + 0.5) / 255.0), np.ar
 
 @dataclass(frozen=True)
 class ImageFault:
-    """A fault of finished images.
+    """A fault of finished images."""
 
-    Attributes:
-        titles: Wording of its settings in reports, each with a placeholder for the value.
-        apply: (linear light (n, rings, sectors, 3), settings, RNG stream) -> the light with this fault.
-    """
-
-    titles: Mapping[str, str]
+    titles: Mapping[str, str]  # Wording of its settings in reports, each with a placeholder for the value
+    # (linear light (n, rings, sectors, 3), settings, RNG stream) -> the light with this fault
     apply: Callable[[np.ndarray, ImageFaultSettings, np.random.Generator], np.ndarray]
 
 

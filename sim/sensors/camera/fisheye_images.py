@@ -27,32 +27,21 @@ from sim.settings import SimSettings
 PERSON_RADIUS_M, PERSON_HEIGHT_M = 0.25, 1.75
 NEAREST_M = 0.5
 """A person's middle is at least this far from the camera [m]: more than the person's radius and the robot's."""
-LAMP_M, LAMP_RADIUS_M = 2.0, 0.08
-"""Largest height of a lamp above the floor, and its radius [m]."""
-BELOW_CEILING_M = 0.1
-"""How far a lamp's middle is below what is above it [m]."""
+LAMP_M, LAMP_RADIUS_M = 2.0, 0.08  # Largest height of a lamp above the floor, and its radius [m]
+BELOW_CEILING_M = 0.1  # How far a lamp's middle is below what is above it [m]
 SKIN = ((0.96, 0.8, 0.69), (0.78, 0.57, 0.44), (0.45, 0.3, 0.22))
 
 
 @dataclass(frozen=True)
 class Shape:
-    """A shape to draw.
+    """A shape to draw."""
 
-    Attributes:
-        kind: Its geometry.
-        size: As of a geom of this kind (3,) [m].
-        place: Its middle (3,) [m].
-        turn: Its axes as columns (3, 3).
-        colour: Red, green, blue.
-        glow: Fraction of the colour that it emits.
-    """
-
-    kind: mujoco.mjtGeom
-    size: tuple[float, float, float]
-    place: np.ndarray
-    turn: np.ndarray
-    colour: tuple[float, float, float]
-    glow: float = 0.0
+    kind: mujoco.mjtGeom  # Its geometry
+    size: tuple[float, float, float]  # As of a geom of this kind (3,) [m]
+    place: np.ndarray  # Its middle (3,) [m]
+    turn: np.ndarray  # Its axes as columns (3, 3)
+    colour: tuple[float, float, float]  # Red, green, blue
+    glow: float = 0.0  # Fraction of the colour that it emits
 
 
 def add_shapes(scene: mujoco.MjvScene, shapes: list[Shape]) -> None:

@@ -20,31 +20,21 @@ from sim.sensors.camera.fisheye import Dress, Fisheye
 from sim.settings import CameraMountSettings, CameraSettings
 
 Source = Literal["lamps", "windows"]
-LAMPLIGHT = (1.0, 0.88, 0.7)
-"""Colour of the light of lamps, warmer than that of the sky."""
+LAMPLIGHT = (1.0, 0.88, 0.7)  # Colour of the light of lamps, warmer than that of the sky
 KINDS: tuple[Source, ...] = get_args(Source)
 COLOURS: dict[Source, tuple[float, float, float]] = {"lamps": LAMPLIGHT, "windows": (0.85, 0.93, 1.0)}
-MOST = 7
-"""OpenGL has eight lights, of which MuJoCo keeps one for the view."""
+MOST = 7  # OpenGL has eight lights, of which MuJoCo keeps one for the view
 
 
 @dataclass(frozen=True)
 class Sources:
-    """Lights of one kind in a room.
+    """Lights of one kind in a room."""
 
-    Attributes:
-        geoms: Geoms that glow (G,).
-        place: Where the lights are (L, 3) [m]; of windows a little in front of the pane.
-        facing: Direction that each shines in (L, 3); zero: all around.
-        strength: Share of each in the light of its kind (L,); the shares add up to 1.
-        colour: Colour of the light.
-    """
-
-    geoms: np.ndarray
-    place: np.ndarray
-    facing: np.ndarray
-    strength: np.ndarray
-    colour: tuple[float, float, float]
+    geoms: np.ndarray  # Geoms that glow (G,)
+    place: np.ndarray  # Where the lights are (L, 3) [m]; of windows a little in front of the pane
+    facing: np.ndarray  # Direction that each shines in (L, 3); zero: all around
+    strength: np.ndarray  # Share of each in the light of its kind (L,); the shares add up to 1
+    colour: tuple[float, float, float]  # Colour of the light
 
 
 def find_sources(model: mujoco.MjModel, source: Source) -> Sources:
@@ -95,20 +85,14 @@ def _place_light(
     return place + 0.1 * inward, inward, float(surface.sum())
 
 
-SCATTERED = 0.1
-"""Light that walls have scattered, the same everywhere, as a fraction of white; no corner is black."""
-DIRECT = 1.2
-"""Light of all sources of a kind together on a surface that faces them close by, as a fraction of white."""
-FADING_M2 = 4.0
-"""A light fades to 1 / (1 + distance^2 / FADING_M2) [m2]."""
-QUADS = 8
-"""Parts of a box's face along each side; MuJoCo computes light at their corners alone."""
+SCATTERED = 0.1  # Light that walls have scattered, the same everywhere, as a fraction of white; no corner is black
+DIRECT = 1.2  # Light of all sources of a kind together on a surface that faces them close by, as a fraction of white
+FADING_M2 = 4.0  # A light fades to 1 / (1 + distance^2 / FADING_M2) [m2]
+QUADS = 8  # Parts of a box's face along each side; MuJoCo computes light at their corners alone
 
 
-OFF = 0.15
-"""Reflectance of lamps and panes that do not shine."""
-DARK = 1e-3
-"""Least illumination by which is divided, as a fraction of white."""
+OFF = 0.15  # Reflectance of lamps and panes that do not shine
+DARK = 1e-3  # Least illumination by which is divided, as a fraction of white
 
 
 class Illumination:
@@ -200,10 +184,8 @@ def _set_lights(scene: mujoco.MjvScene, sources: Sources) -> None:
         light.diffuse = DIRECT * share * colour
 
 
-GREY = 0.18
-"""Mean brightness that automatic exposure brings an image to, as a fraction of white: a grey card's."""
-MOST_GAIN = 64.0
-"""Largest gain of a colour."""
+GREY = 0.18  # Mean brightness that automatic exposure brings an image to, as a fraction of white: a grey card's
+MOST_GAIN = 64.0  # Largest gain of a colour
 
 
 def expose(light: np.ndarray) -> np.ndarray:

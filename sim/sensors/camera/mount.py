@@ -12,10 +12,8 @@ from sim.geometry import planar_pose
 from sim.sensors.camera.lens import Lens, polar_rays, project_polar
 from sim.settings import CameraMountSettings
 
-CIRCLE_PX = 480
-"""Diameter of the round image in whose pixels an error of the optical centre is given [px]."""
-FRAMES = 5
-"""Number of pictures that are averaged to an image if the robot drives while the shutter is open."""
+CIRCLE_PX = 480  # Diameter of the round image in whose pixels an error of the optical centre is given [px]
+FRAMES = 5  # Number of pictures that are averaged to an image if the robot drives while the shutter is open
 
 
 def draw_leans(settings: CameraMountSettings, count: int, rng: np.random.Generator) -> np.ndarray | None:
@@ -47,24 +45,18 @@ def drive_on(state: np.ndarray, driven_m: float) -> np.ndarray:
     return states
 
 
-PAD = 4
-"""Pixels that interpolation reads beyond the one it is in."""
-CHUNK = 256
-"""Images that are resampled at once."""
+PAD = 4  # Pixels that interpolation reads beyond the one it is in
+CHUNK = 256  # Images that are resampled at once
 
 
 @dataclass(frozen=True)
 class Upright:
-    """Sets polar images upright.
+    """Sets polar images upright."""
 
-    Attributes:
-        lens: Their lens.
-        lean: Lean of the camera to the robot's right and forward [rad]; none: images stay as they are.
-        parallax: Lean that turns seem to show besides, as the camera is off the turning axis [rad]; images show none.
-    """
-
-    lens: Lens
+    lens: Lens  # Their lens
+    # Lean of the camera to the robot's right and forward [rad]; none: images stay as they are
     lean: tuple[float, float]
+    # Lean that turns seem to show besides, as the camera is off the turning axis [rad]; images show none
     parallax: tuple[float, float] = (0.0, 0.0)
 
     def __call__(self, images: np.ndarray) -> np.ndarray:

@@ -18,21 +18,13 @@ _OFF = ("mjRND_SHADOW", "mjRND_REFLECTION", "mjRND_FOG", "mjRND_HAZE")
 
 @dataclass(frozen=True)
 class Face:
-    """One pinhole picture and its place in the strip of all of them.
+    """One pinhole picture and its place in the strip of all of them."""
 
-    Attributes:
-        axes: Rows right, up, forward in the camera's frame (3, 3).
-        window: Tangents of the angles of its edges: left, right, bottom, top (4,).
-        column: First column in the strip [px].
-        width: Width [px].
-        height: Height [px].
-    """
-
-    axes: np.ndarray
-    window: np.ndarray
-    column: int
-    width: int
-    height: int
+    axes: np.ndarray  # Rows right, up, forward in the camera's frame (3, 3)
+    window: np.ndarray  # Tangents of the angles of its edges: left, right, bottom, top (4,)
+    column: int  # First column in the strip [px]
+    width: int  # Width [px]
+    height: int  # Height [px]
 
 
 class Offscreen:

@@ -15,12 +15,9 @@ from sim.sensors.catalog import Opened
 from sim.settings import SimSettings, TagCameraSettings
 
 NAME = "tag_camera"
-FIELD_OF_VIEW_DEG = 100.0
-"""Full angle across the image [deg]."""
-HEIGHT_M, AHEAD_M = 0.28, -0.04
-"""Place of its middle, above the floor and in front of the wheel axle [m]."""
-YAW_DEG = 180.0
-"""Direction of view, left of straight ahead [deg]: backwards, as the robot stops at obstacles."""
+FIELD_OF_VIEW_DEG = 100.0  # Full angle across the image [deg]
+HEIGHT_M, AHEAD_M = 0.28, -0.04  # Place of its middle, above the floor and in front of the wheel axle [m]
+YAW_DEG = 180.0  # Direction of view, left of straight ahead [deg]: backwards, as the robot stops at obstacles
 TURN = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Rotation from the camera's frame to its mount's, whose x axis points out and z up: right is -y, down -z, ahead x."""
 

@@ -14,12 +14,9 @@ import numpy as np
 from sim.errors import InputError
 from sim.sensors.camera.lens import Lens, distort, polar_rays
 
-MOST_FINER = 16
-"""Largest number of points, along each axis, whose mean is a pixel of the polar image."""
-LARGEST_PX = 32_000
-"""Largest side of an image that OpenCV remaps."""
-MOST_DEG = 360
-"""Largest angle of the forward axis, to either side."""
+MOST_FINER = 16  # Largest number of points, along each axis, whose mean is a pixel of the polar image
+LARGEST_PX = 32_000  # Largest side of an image that OpenCV remaps
+MOST_DEG = 360  # Largest angle of the forward axis, to either side
 
 
 def unwrap_fisheye(
@@ -123,17 +120,11 @@ def _check(
 
 @dataclass(frozen=True)
 class RoundImage:
-    """Where the image circle is in the raw images of a camera that looks up, as for ``unwrap_fisheye``.
+    """Where the image circle is in the raw images of a camera that looks up, as for ``unwrap_fisheye``."""
 
-    Attributes:
-        centre: Column and row of the optical axis [px].
-        radius_px: Distance of the rim from the centre [px].
-        forward_deg: Direction of the robot's forward axis, clockwise from the image's top [deg].
-    """
-
-    centre: tuple[float, float]
-    radius_px: float
-    forward_deg: float = 0.0
+    centre: tuple[float, float]  # Column and row of the optical axis [px]
+    radius_px: float  # Distance of the rim from the centre [px]
+    forward_deg: float = 0.0  # Direction of the robot's forward axis, clockwise from the image's top [deg]
 
     def find_points(self, rings: int, sectors: int) -> tuple[np.ndarray, np.ndarray]:
         """Columns and rows that ``draw_polar`` takes, the same for all images of the camera."""
@@ -160,21 +151,13 @@ STEPS = 951
 
 @dataclass(frozen=True)
 class RawCamera:
-    """Intrinsics, with pixel centres at integers.
+    """Intrinsics, with pixel centres at integers."""
 
-    Attributes:
-        model: Name of the lens's model.
-        size: Width and height of the image [px].
-        focal: Focal lengths fx, fy [px].
-        centre: Column and row of the optical axis [px].
-        coefficients: Of the distortion, as many as the model has.
-    """
-
-    model: str
-    size: tuple[int, int]
-    focal: tuple[float, float]
-    centre: tuple[float, float]
-    coefficients: tuple[float, ...]
+    model: str  # Name of the lens's model
+    size: tuple[int, int]  # Width and height of the image [px]
+    focal: tuple[float, float]  # Focal lengths fx, fy [px]
+    centre: tuple[float, float]  # Column and row of the optical axis [px]
+    coefficients: tuple[float, ...]  # Of the distortion, as many as the model has
 
     def project(self, theta: np.ndarray, azimuth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Column and row [px] of directions by their angles from the optical axis, and from x to y [rad]."""
