@@ -89,7 +89,7 @@ def test_installed_command_finds_its_assets_from_another_folder(installed, tmp_p
     assert "doctor" in call(program, "--help", cwd=tmp_path, PYTHONPATH=str(installed))
     listing = "import sim.files as p; print(p.__file__, *p.SCENARIOS.iterdir(), *p.STUDIES.iterdir(), sep='\\n')"
     where, *found = call(sys.executable, "-c", listing, cwd=tmp_path, PYTHONPATH=str(installed)).splitlines()
-    assert where == str(installed / "sim" / "paths.py")
+    assert where == str(installed / "sim" / "files" / "__init__.py")
     here = [*(ROOT / "assets" / "scenarios").iterdir(), *(ROOT / "assets" / "studies").iterdir()]
     assert {Path(path) for path in found} == {installed / "sim" / path.relative_to(ROOT) for path in here}
 

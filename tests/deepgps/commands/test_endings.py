@@ -30,12 +30,13 @@ def start(*words: str, cwd: Path) -> subprocess.Popen[str]:
     """Start the command in a session of its own, as a terminal does."""
     command = [sys.executable, "-m", "deepgps.commands.main", *words]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    # whoever starts the tests may ignore Ctrl-C, as a shell does for what runs in the background
-    heard = signal.signal(signal.SIGINT, signal.default_int_handler)
+    # whoever starts the tests may ignore these, as a shell does for what runs in the background, and nohup
+    heard = {number: signal.signal(number, signal.SIG_DFL) for number in (signal.SIGINT, signal.SIGHUP)}
     try:
         return subprocess.Popen(command, cwd=cwd, start_new_session=True, **pipes)
     finally:
-        signal.signal(signal.SIGINT, heard)
+        for number, handler in heard.items():
+            signal.signal(number, handler)
 
 
 def find_session(session: int) -> list[str]:

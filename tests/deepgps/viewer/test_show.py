@@ -39,7 +39,8 @@ def listening(process: int) -> set[tuple[str, int]]:
 
 def test_a_page_and_its_data_are_for_this_machine_alone_and_end_with_what_serves_them(run: Path) -> None:
     page = next(port for port in range(20000, 60000, 10) if is_free(port) and is_free(port + 1))
-    before, addresses, family = listening(os.getpid()), [], []
+    before, addresses, family = listening(os.getpid()), [], set()
+    others = set(psutil.Process().children(recursive=True))
 
     def look(said: str) -> None:
         address = said.splitlines()[0].removeprefix("open ")
@@ -48,7 +49,7 @@ def test_a_page_and_its_data_are_for_this_machine_alone_and_end_with_what_serves
         with urlopen(address, timeout=30) as answer:
             assert answer.status == 200 and b"re_viewer" in answer.read()
         addresses.append(address)
-        family.extend(psutil.Process().children(recursive=True))
+        family.update(set(psutil.Process().children(recursive=True)) - others)
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
