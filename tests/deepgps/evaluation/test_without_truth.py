@@ -75,7 +75,7 @@ def test_a_run_on_a_log_without_poses_says_what_it_knows(tmp_path: Path, capsys:
     values = found["methods"]["deepgps_compass"]["held_out"]
     assert {"length_rms_m", "scale", "straight_rms_m", "turn_rms_deg", "new"} <= set(values)
     assert values["turns"] == 1 and (run / "run.rrd").stat().st_size > 10_000
-    assert markdown(run).startswith("| method | length, RMS [cm] |")
+    assert "| length, RMS [cm] |" in markdown(run).splitlines()[0]
     before = (run / "without_truth.json").read_bytes()
     main(["run", str(run)])
     assert (run / "without_truth.json").read_bytes() == before

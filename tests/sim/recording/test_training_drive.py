@@ -39,7 +39,7 @@ def base(plain: SimSettings, tmp_path_factory: pytest.TempPathFactory) -> Path:
     [
         pytest.param({"deployment": {"light": 0.3, "moved_m": 0.3}}, marks=pytest.mark.slow),
         {"grid": {"spacing_m": 0.6, "headings": 2}},
-        pytest.param({"deployment": {"drive_samples": 20, "camera_mount": {"roll_deg": 4.0}}}, marks=pytest.mark.slow),
+        pytest.param({"deployment": {"drive_samples": 16, "camera_mount": {"roll_deg": 4.0}}}, marks=pytest.mark.slow),
     ],
     ids=["light and furniture", "grid", "drive in use"],
 )
