@@ -45,9 +45,8 @@ def make_drive(rng: np.random.Generator, images: int = 150, noise: float = 1.0, 
 
 def carry(drive: Drive) -> Drive:
     """The drive of a robot that was carried from its 80th image to its 131st, without its odometry noticing."""
-    parts = (slice(80), slice(130, None))
-    path = np.concatenate([drive.pose[part] for part in parts])
-    return Drive(path, *([*known[parts[0]], *known[parts[1]]] for known in (drive.motions, drive.fixes)))
+    path = np.concatenate([drive.pose[:80], drive.pose[130:]])
+    return Drive(path, drive.motions[:80] + drive.motions[130:], drive.fixes[:80] + drive.fixes[130:])
 
 
 def advance(pose: np.ndarray, motion: np.ndarray) -> np.ndarray:

@@ -250,7 +250,7 @@ def test_a_study_of_changes_on_one_kind_of_features_needs_not_vary_it() -> None:
 def test_methods_without_a_map_by_compass_are_left_out() -> None:
     ours = {"map_rms_m": 0.02, "map_expected_rms_m": 0.01, "map_nees": 1.5, "map_flipped_m2": 0.2}
     row = make_row(0.1, "deepgps_compass", **ours, **{maps.NOISE: 0.1})
-    other = make_row(0.1, **dict.fromkeys(ours), **{maps.NOISE: 0.1})
+    other = make_row(0.1, "deepgps", **dict.fromkeys(ours), **{maps.NOISE: 0.1})
     assert report_rows("maps", [row, other], [maps.NOISE]) == report_rows("maps", [row], [maps.NOISE])
     assert values_of("maps", [row]) == {"mirrored": 1, "rms_m w 0.1": 0.02, "nees w 0.1": 1.5}
 
