@@ -97,7 +97,7 @@ def start_viewer(port: int, words: Sequence[str], fix: str) -> Iterator[subproce
         viewer = subprocess.Popen(command, stdout=said, stderr=said, env=quiet, start_new_session=True)
         try:
             yield viewer
-        except WorkError:
+        except (WorkError, OSError, RuntimeError):  # Rerun raises the latter two where the viewer ends in between
             with suppress(subprocess.TimeoutExpired):
                 viewer.wait(1.0)  # where it ends by itself, its own reason says more
             if not viewer.poll():
