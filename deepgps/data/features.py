@@ -28,8 +28,8 @@ from deepgps.data.segments import Segments, subsample_learned
 from sim.errors import InputError
 
 CHUNK = 64  # fits a processor's cache
-LEAST = 1e-8  # Added to the product of two magnitudes, so that the phase of an empty pair is not noise
-ALIKE = 1e-6  # Smallest total difference of descriptions, relative to their size; less is the rounding of float32
+PRODUCT_FLOOR = 1e-8  # Added to the product of two magnitudes, so that the phase of an empty pair is not noise
+MIN_VARIETY = 1e-6  # Smallest total difference of descriptions, relative to their size; less is the rounding of float32
 RELIT, LIGHT_WEIGHT = 1500, 0.1
 """Images of which a copy under other light is described, at most; weight of what light changes beside what bends."""
 
@@ -100,7 +100,7 @@ def describe(
     size = (real.square() + imaginary.square()).sqrt_()
     a, b, c, d = real[:, :-1, :, 1:], imaginary[:, :-1, :, 1:], real[:, 1:, :, 1:], imaginary[:, 1:, :, 1:]
     # A product's amplitude to the power 1/4 is comparable to a magnitude's square root; its phase is kept.
-    half = (size[:, :-1, :, 1:] * size[:, 1:, :, 1:]).add_(LEAST).sqrt_()
+    half = (size[:, :-1, :, 1:] * size[:, 1:, :, 1:]).add_(PRODUCT_FLOOR).sqrt_()
     shrink = (half * half.sqrt()).reciprocal_()
     described = torch.empty((count, size[0].numel() + 2 * shrink[0].numel()))
     magnitude, product = described.split([size[0].numel(), 2 * shrink[0].numel()], dim=1)
@@ -197,7 +197,7 @@ def _describe_all(
 
 def _check_variety(centred: torch.Tensor, mean: torch.Tensor) -> None:
     apart, size = torch.linalg.vector_norm(centred), torch.linalg.vector_norm(mean) * len(centred) ** 0.5
-    if apart <= ALIKE * size:
+    if apart <= MIN_VARIETY * size:
         raise InputError(f"all {len(centred)} observations look alike, so none tells where it was")
 
 

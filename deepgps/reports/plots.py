@@ -102,11 +102,6 @@ def print_error_field(axes: Axes, run: Path, name: str, scale_m: tuple[float, fl
     return find_worst(field)
 
 
-def print_floor(axes: Axes, run: Path) -> None:
-    """Draw the floor of a run's room in white, and in grey where the robot cannot be."""
-    draw_room(axes, open_truth(run / "recording").free_space, PAPER)
-
-
 def draw_field(
     axes: Axes,
     space: FreeSpace,

@@ -67,14 +67,6 @@ def ratio_of(title: str, ours: Sequence[float], theirs: Sequence[float]) -> Figu
     return Figure(title, value, "", worst=worst, interval=_resample(_divide_means, ours, theirs))
 
 
-def compare_means(
-    title: str, rows: Sequence[Mapping], others: Sequence[Mapping], name: str, at_least: bool = False
-) -> Figure:
-    """The ratio of a column's mean over some rows to that over others."""
-    value, other = (float(np.mean([row[name] for row in some])) for some in (rows, others))
-    return Figure(title, value / other, "", at_least)
-
-
 def _summarise(title: str, middle: Callable, values: Sequence[float], unit: str, at_least: bool) -> Figure:
     worst = min(values) if at_least else max(values)
     return Figure(title, float(middle(values)), unit, at_least, float(worst), _resample(middle, values))

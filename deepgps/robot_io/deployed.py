@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from deepgps.data.features import LEAST, Features, make_waves
+from deepgps.data.features import PRODUCT_FLOOR, Features, make_waves
 from deepgps.positioner import confidence, headings
 from deepgps.positioner.positioner import NetworkPositioner
 from sim.alignment import Alignment
@@ -274,7 +274,7 @@ class FeatureModule(nn.Module):
         count = min(features.frequencies, sectors // 2)
         self.wave = nn.Buffer(make_waves(sectors, count))
         # As a single number, the optimiser of ONNX models takes this for zero and drops it.
-        self.least = nn.Buffer(torch.full((count,), LEAST))
+        self.least = nn.Buffer(torch.full((count,), PRODUCT_FLOOR))
         self.mean, self.basis = nn.Buffer(features.mean), nn.Buffer(features.basis)
 
     def forward(self, image: torch.Tensor) -> torch.Tensor:
