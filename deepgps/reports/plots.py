@@ -35,16 +35,7 @@ def colour_on_dark(method: str) -> tuple[int, int, int]:
 def draw_band(
     axes: Axes, places: Sequence[float], seeds: Sequence[Sequence[float]], colour: str, label: str, marker: float
 ) -> None:
-    """Draw a line through the mean over the seeds at each place, and a band from their minimum to their maximum.
-
-    Args:
-        axes: The axes to draw into.
-        places: Positions along the abscissa.
-        seeds: The seeds' values at each place.
-        colour: Colour of line and band.
-        label: Label of the line.
-        marker: Size of the markers [pt].
-    """
+    """Draw a line through the mean of the seeds' values at each place, and a band from least to greatest."""
     axes.plot(places, [np.mean(one) for one in seeds], "o-", color=colour, markersize=marker, label=label)
     axes.fill_between(places, [min(one) for one in seeds], [max(one) for one in seeds], color=colour, alpha=0.15, lw=0)
 
@@ -88,14 +79,7 @@ def colours_of(error: np.ndarray, scale_m: tuple[float, float] = SCALE_M) -> np.
 def print_error_field(axes: Axes, run: Path, name: str, scale_m: tuple[float, float] = SCALE_M) -> WorstField:
     """Draw one method's error field of a run on a white floor, refused images in grey; ``add_scale`` adds the colours.
 
-    Args:
-        axes: The axes to draw into; the caller sets their title.
-        run: The run's folder.
-        name: The method.
-        scale_m: Errors at the ends of the colour scale [m].
-
-    Returns:
-        The worst heading of each position, refused or not.
+    Returns the worst heading of each position, refused or not. The ends of the colour scale are in metres.
     """
     field = read_all_headings(run)[name]
     draw_field(axes, open_truth(run / "recording").free_space, field, PAPER, scale_m)

@@ -130,12 +130,9 @@ def draw_training(histories: Mapping[str, Mapping[str, np.ndarray]]) -> Figure:
 
 
 def draw_drive(truth: Truth, reading: np.ndarray, driven_m: float | None = None) -> Figure:
-    """Plot the driven path over the free space, coloured from its start to its end.
+    """Plot the driven path of readings (R, 4) over the free space, coloured from its start to its end.
 
-    Args:
-        truth: The ground truth.
-        reading: The encoders' readings (R, 4).
-        driven_m: Distance driven according to the recording [m]; None: the length of what is drawn.
+    The distance is that of the recording [m], or the length of what is drawn.
     """
     space = truth.free_space
     figure = Figure(figsize=(9, 7.4 * _aspect(space) + 1.0), layout="constrained")

@@ -82,9 +82,7 @@ def read_times(run: Path, metrics: Mapping[str, Any]) -> dict[str, float]:
 def describe(metrics: Mapping[str, Any], times: Mapping[str, float] | None = None) -> list[str]:
     """Describe the drive, the encoders, the coverage, what is accepted, the camera, the drive in use and the time.
 
-    Args:
-        metrics: Contents of ``metrics.json``.
-        times: Seconds of each stage; none: those in the metrics, which do not include ``show``.
+    Seconds of each stage are those in the metrics, without ``show``, unless they are given.
     """
     coverage, methods = metrics["coverage"], metrics["methods"]
     seen, reachable = coverage["cells_seen"], coverage["reachable_cells"]
@@ -140,15 +138,9 @@ def markdown_report(metrics: Mapping[str, Any]) -> str:
 
 
 def print_report(run: Path, console: Console, sitting_s: float | None = None) -> None:
-    """Print a run's table and the sentences under it.
+    """Print a run's table and the sentences under it; raises InputError if the folder holds no run.
 
-    Args:
-        run: The run folder.
-        console: Where to print.
-        sitting_s: Seconds since the command began, including its start-up and the time between stages.
-
-    Raises:
-        InputError: The folder holds no run.
+    ``sitting_s`` is the time since the command began, including its start-up and the time between stages.
     """
     if not (run / METRICS).is_file() and print_without_truth(run, console):
         return

@@ -35,14 +35,9 @@ def tabulate(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 def print_table(
     console: Console, headings: Sequence[str], rows: Sequence[Sequence[str]], title: str | None = None, bold: str = ""
 ) -> None:
-    """Print a table whose first column is text and whose others are numbers.
+    """Print a table whose first column is text and whose others are numbers; units in brackets are below their heading.
 
-    Args:
-        console: Where to print.
-        headings: One for each column; a unit in brackets is printed below its name.
-        rows: The cells.
-        title: Title above the table.
-        bold: First cell of the rows that are printed in bold.
+    Rows whose first cell is ``bold`` are printed in bold.
     """
     table = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left", padding=0, show_edge=False)
     for index, heading in enumerate(headings):

@@ -118,10 +118,8 @@ def _write(value: float, quantity: Quantity, unit: str | None = None) -> str:
 def describe_encoders(recording: Recording, pose: np.ndarray, drift: np.ndarray) -> str:
     """Describe the encoders' settings and their measured errors as Markdown.
 
-    Args:
-        recording: The recording.
-        pose: True pose at each observation (N, 3).
-        drift: Distance of the dead-reckoned path from the true one (R,) [m].
+    True poses (N, 3) are at observations; ``drift`` is the distance of the dead-reckoned path from the true one (R,)
+    [m].
     """
     length, error = measure_segments(recording, pose)
     odometry = recording.manifest.odometry

@@ -32,13 +32,8 @@ STRIDE = 100  # Runs planned between two progress reports
 def plan_runs(study: Study, progress: Report = ignore) -> list[Plan]:
     """Plan every run of a study, in order, and check each one.
 
-    Args:
-        study: The study.
-        progress: Called with the number of runs planned and their total.
-
-    Raises:
-        InputError: There are too many runs, two are the same, two scenarios have one name, or some runs are invalid;
-            the message describes the first problems and says how many more there are.
+    Raises InputError if there are too many runs, two are the same, two scenarios have one name, or some runs are
+    invalid; the message describes the first problems and says how many more there are.
     """
     total = len(study.cases) * math.prod(map(len, study.axes.values())) * len(study.seeds)
     if total > MOST_RUNS:

@@ -124,15 +124,9 @@ class Study(Variation):
 
 
 def load_study(source: str, tiny: bool, full: bool = False) -> Study:
-    """Read a study.
+    """Read a study, in assets/studies or at a path, as it is or in the small or long version that its file describes.
 
-    Args:
-        source: A name in assets/studies, or the path of a YAML file.
-        tiny: Whether to use the small version that the study's ``tiny`` describes.
-        full: Whether to use the long version that the study's ``full`` describes.
-
-    Raises:
-        InputError: The study is invalid; the message names every wrong field, its value and what is allowed.
+    Raises InputError; the message names every wrong field, its value and what is allowed.
     """
     if tiny and full:
         raise InputError("--tiny and --full exclude each other")

@@ -40,13 +40,8 @@ class Plan:
 
 
 def gather(plans: Sequence[Plan], failures: Mapping[str, str], folder: Path) -> list[Row]:
-    """Rows of all runs of a study in order, including failed runs; each row has every column.
-
-    Args:
-        plans: The runs.
-        failures: Reasons why runs failed, by the hash of the run.
-        folder: The study's folder.
-    """
+    """Rows of all runs of a study in order, including failed runs, with the reasons by the hash of the run; each row
+    has every column."""
     names = dict.fromkeys(name for plan in plans for name in plan.varied)
     # settings that only some cases set come first, axes last
     varied = sorted(names, key=lambda name: all(name in plan.varied for plan in plans))

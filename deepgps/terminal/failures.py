@@ -21,11 +21,7 @@ FAULT = "deepgps-fault-"  # Prefix of the names of files with a traceback
 
 
 class Fault(Exception):
-    """Wraps, as its cause, an unexpected exception that was raised while a command worked in a folder.
-
-    Attributes:
-        folder: The folder.
-    """
+    """Wraps, as its cause, an unexpected exception that was raised while a command worked in ``folder``."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)
@@ -44,15 +40,9 @@ def working_in(folder: Path) -> Iterator[None]:
 
 
 def explain(error: BaseException, words: Sequence[str], number: int | None = None) -> tuple[int, str, str]:
-    """Explain the exception that ends a command.
+    """Explain the exception that ends a command, a consequence of the signal that was received, if any.
 
-    Args:
-        error: The exception.
-        words: The command line.
-        number: The signal that was received, if any; any exception is then a consequence of it.
-
-    Returns:
-        The exit code, the kind of the line, and its text.
+    Returns the exit code, the kind of the line, and its text.
     """
     folder = None
     if isinstance(error, Fault) and error.__cause__:
@@ -66,11 +56,8 @@ def explain(error: BaseException, words: Sequence[str], number: int | None = Non
 
 
 def write_fault(error: BaseException, words: Sequence[str], folder: Path | None) -> Path | None:
-    """Write a new file with what is needed to find a fault, in the folder or else in the system's temporary folder.
-
-    Returns:
-        The file; None if it could not be written anywhere.
-    """
+    """Write a new file with what is needed to find a fault, in the folder or else in the system's temporary folder;
+    None: it could not be written anywhere."""
     trace = "".join(traceback.format_exception(error))
     machine = f"Python {platform.python_version()}, {platform.platform()}"
     text = f"deepgps {find_version()}, {machine}\n{list(words)}\n\n{trace}"

@@ -28,9 +28,7 @@ def ignore(label: str, done: int, total: int, look: Look | None = None) -> None:
 def show_progress(console: "Console", quiet_s: float = 0.0) -> Iterator[Report]:
     """Show a bar with rate and time left for each label, or plain lines if the console is not a terminal.
 
-    Args:
-        console: Where to show the progress.
-        quiet_s: Time before the first line about a label [s]; for work that is usually finished at once.
+    Work that is usually finished at once gets no line about a label for ``quiet_s`` [s].
     """
     if console.is_terminal:
         with _show_bars(console) as report:
@@ -50,13 +48,8 @@ class _Stage:
 
 
 class Lines:
-    """Reports each label's progress in lines: at its first and last step, at every tenth, and every minute.
-
-    Args:
-        say: Called with each line.
-        quiet_s: Time before the first line about a label [s].
-        clock: Returns the seconds since some fixed moment.
-    """
+    """Reports each label's progress in lines: at its first and last step, at every tenth, and every minute, the first
+    after ``quiet_s`` [s] by a clock [s]."""
 
     PERIOD_S = 60.0
 

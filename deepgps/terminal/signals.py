@@ -56,8 +56,7 @@ def describe_signal(number: int, words: Sequence[str]) -> str:
 class Stop:
     """The signal handler: kills the worker processes and raises ``Stopped``; a late second signal ends the process.
 
-    Attributes:
-        number: The first signal that was received.
+    ``number`` is the first signal that was received.
     """
 
     def __init__(self) -> None:

@@ -81,15 +81,9 @@ def url_of(port: int) -> str:
 
 @contextmanager
 def start_viewer(port: int, words: Sequence[str], fix: str) -> Iterator[subprocess.Popen]:
-    """Run the viewer while this is entered.
+    """Run the viewer with these options while this is entered, listening for data at a port of this machine.
 
-    Args:
-        port: Port of this machine at which it listens for data.
-        words: Its other options.
-        fix: What helps where it fails, for the error's line.
-
-    Raises:
-        WorkError: The viewer is missing, or has ended with an error when this is left.
+    Raises WorkError, with what helps as its end, if it is missing or has ended with an error when this is left.
     """
     command = [find_viewer(), "--bind", HOST, "--port", str(port), *words]
     quiet = {**os.environ, "RUST_LOG": "error", "NO_COLOR": "1"}

@@ -90,16 +90,10 @@ def log_path(
     time: np.ndarray,
     clock: Clock,
 ) -> None:
-    """Log complete segments below ``root``, one row each, and at each reading the part of its segment driven so far.
+    """Log complete segments, one row each, and at each reading the part of its segment driven so far.
 
-    Args:
-        stream: Stream to log to.
-        root: Entity below which the path is logged.
-        segment: Segment of each reading (R,).
-        place: Position at each reading, true or dead-reckoned (R, 2) [m].
-        colours: Colours of the segments and of the current part.
-        time: Time of each reading (R,) [s].
-        clock: The timelines.
+    Readings have segments (R,), positions (R, 2) [m], true or dead-reckoned, and times (R,) [s]; segments and current
+    parts have a colour each.
     """
     place, start = lift(place, LAYER_M), find_starts(segment)
     for name, radius_m, colour, rows in (

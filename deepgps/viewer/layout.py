@@ -42,13 +42,7 @@ def make_blueprint(
 ) -> rrb.Blueprint:
     """The viewer's layout for a finished run, which opens with what matters most, at the end of drive and training.
 
-    Args:
-        space: The room's floor.
-        layers: Measured methods, and their entities that are hidden at first.
-        trained: Methods with a training history.
-        pictures: Titles of the sensors' pictures, by name.
-        drive_s: Duration of the drive [s].
-        mapped: Method whose initial map's making is shown; None: no method kept it.
+    It takes titles of the sensors' pictures by name, and the method, if any, whose initial map's making is shown.
     """
     errors = rrb.Horizontal(series_view(*SEGMENT_ERROR, drive_s), series_view(*TICKS, drive_s))
     return arrange(
@@ -70,12 +64,7 @@ def make_live_blueprint(
 ) -> rrb.Blueprint:
     """The viewer's layout for a run in progress: a tab for each stage so far, with the newest in front.
 
-    Args:
-        space: The room's floor, once the recording is finished.
-        pictures: Whether the robot has a camera.
-        trained: Methods whose training has begun.
-        began_s: When the first training began [s].
-        layers: Methods whose error fields are available, and their entities that are hidden at first.
+    The room's floor is known once the recording is finished; the first training began at ``began_s`` [s].
     """
     steps = text_view("Steps", STEPS)
     tabs: list[Part] = [_drive(space, POLAR_PICTURES if pictures else {}, steps, [RUN_TIME])]
@@ -90,14 +79,7 @@ def make_live_blueprint(
 def make_blueprint_without_truth(
     pictures: Mapping[str, str], drive_s: float, reckoned: np.ndarray, last: Mapping[str, np.ndarray]
 ) -> rrb.Blueprint:
-    """The viewer's layout for a run without truth.
-
-    Args:
-        pictures: As in ``make_blueprint``.
-        drive_s: Likewise.
-        reckoned: The dead-reckoned path (R, 2) [m].
-        last: The methods' last maps (n, 2) [m].
-    """
+    """The viewer's layout for a run without truth: its dead-reckoned path (R, 2) and its methods' maps (n, 2) [m]."""
     path = rrb.Spatial3DView(
         name="Dead-reckoned path",
         origin="world",
@@ -177,13 +159,10 @@ def series_view(
 
 
 def aim_eye(space: FreeSpace | None, tilt: float = 0.0, reach: float = 1.0, before: float = 0.25) -> rrb.EyeControls3D:
-    """Place the eye above the room, with space for the scale in front of it.
+    """Place the eye above a room, or above one of usual size, with space for the scale in front of it.
 
-    Args:
-        space: The room's floor; None: it is not known, and all of a room of usual size is shown.
-        tilt: How far the eye is tilted to the south [rad].
-        reach: Distance of the eye, as a multiple of the distance at which the plan is visible.
-        before: How far south of the room's middle the eye looks [m].
+    The eye is tilted to the south [rad], ``reach`` times as far away as the plan needs, and looks so far south of the
+    room's middle [m].
     """
     if space is None:
         return look((0.0, -3.0, 6.4), (0.0, -0.3, 0.0))

@@ -54,21 +54,10 @@ PICTURES_AT_ONCE = 100
 def show_live(
     address: str, scenario: Scenario, folder: Path, progress: Report, warn: Callable[[str], None]
 ) -> Iterator[Report]:
-    """Stream a run to a viewer while it runs.
+    """Stream a run to a viewer while it runs; yields the progress report for its stages to call.
 
-    Args:
-        address: Address of a running viewer, host:port or a Rerun URL; empty: a viewer is opened, and stays open.
-        scenario: The run's scenario.
-        folder: The run folder.
-        progress: Called with everything that the stages report.
-        warn: Called with one line when the viewer stops answering.
-
-    Yields:
-        The progress report for the stages to call.
-
-    Raises:
-        InputError: The address is wrong, or no viewer answers there.
-        WorkError: No viewer can be opened.
+    The address is host:port or a Rerun URL; without one, a viewer is opened, which stays open. ``warn`` is called with
+    one line when the viewer stops answering. Raises InputError if no viewer answers, WorkError if none can be opened.
     """
     url = find_url(address) if address else open_viewer()
     who = knock(url)
@@ -154,13 +143,7 @@ def _check(stream: rr.RecordingStream, address: str) -> None:
 
 
 class LiveDrive:
-    """Sends a drive to the viewer, from the chunks that make up a recording, and keeps track of what has been sent.
-
-    Args:
-        stream: Stream to send to.
-        folder: Folder of the recording.
-        camera: The scenario's camera.
-    """
+    """Sends a drive to the viewer, from the chunks that make up a recording, and keeps track of what has been sent."""
 
     def __init__(self, stream: rr.RecordingStream, folder: Path, camera: CameraSettings) -> None:
         self.stream, self.work, self.camera = stream, work_folder(folder), camera
@@ -209,13 +192,7 @@ class LiveDrive:
 
 
 class LiveTraining:
-    """Sends trainings to the viewer and keeps track of how much of each has been sent.
-
-    Args:
-        stream: Stream to send to.
-        folder: The run folder.
-        truth: True position of each observation (N, 2) [m], to which maps are aligned.
-    """
+    """Sends trainings, aligned to the true positions (N, 2) [m], and keeps track of how much of each has been sent."""
 
     def __init__(self, stream: rr.RecordingStream, folder: Path, truth: np.ndarray) -> None:
         self.stream, self.folder, self.truth = stream, folder, truth
@@ -248,17 +225,7 @@ class LiveTraining:
 
 
 class LiveView:
-    """Collects what a run reports and sends it to the viewer.
-
-    Args:
-        stream: Stream to send to.
-        scenario: The run's scenario.
-        folder: The run folder.
-
-    Attributes:
-        steps: Steps done and their number, by reported label.
-        histories: Each training's history so far, by reported label.
-    """
+    """Sends to the viewer what a run reports: steps done and their number, and each training's history, by label."""
 
     def __init__(self, stream: rr.RecordingStream, scenario: Scenario, folder: Path) -> None:
         self.steps: dict[str, tuple[int, int]] = {}

@@ -32,17 +32,9 @@ Show = Callable[[float | None, np.ndarray, np.ndarray, float | None, float | Non
 
 @contextmanager
 def show_located(address: str, recording: Path, in_world: bool, warn: Callable[[str], None]) -> Iterator[Show]:
-    """Show poses in a viewer; if it goes away, the work continues.
+    """Show poses in a viewer, in the recording's room if they are in the world's frame; if it is lost, work continues.
 
-    Args:
-        address: Address of a running viewer, host:port or a Rerun URL; empty: a viewer is opened, and stays open.
-        recording: Folder of the run's recording, whose room is drawn if it is known.
-        in_world: Whether poses are in the frame of the world.
-        warn: Called with one line when the viewer is lost.
-
-    Raises:
-        InputError: The address is wrong, or no viewer answers there.
-        WorkError: No viewer can be opened.
+    The address, ``warn`` and what is raised are as in ``show_live``.
     """
     url = find_url(address) if address else open_viewer()
     if knock(url) != "viewer":
@@ -60,12 +52,7 @@ def show_located(address: str, recording: Path, in_world: bool, warn: Callable[[
 
 
 class LocatedView:
-    """What the viewer shows.
-
-    Args:
-        stream: Where to send it.
-        recording: The recording whose room is drawn; None: poses have no place in it.
-    """
+    """What the viewer shows, in the room of a recording if poses have a place in it."""
 
     def __init__(self, stream: rr.RecordingStream, recording: Path | None) -> None:
         self.stream, self.number, self.trail = stream, 0, deque[np.ndarray](maxlen=TRAIL)

@@ -41,14 +41,7 @@ def find_map(run: Path, methods: Iterable[str]) -> tuple[str | None, StoredMap |
 
 
 def log_making(stream: rr.RecordingStream, stored: StoredMap, recording: Recording, place: np.ndarray | None) -> None:
-    """Log every stage of a map's making.
-
-    Args:
-        stream: Stream to log to.
-        stored: The map.
-        recording: The recording that it is of.
-        place: True positions of the observations (N, 2) [m]; None: there is no truth.
-    """
+    """Log every stage of a map's making, beside the true positions of the observations (N, 2) [m] if known."""
     known = stored.known
     upon = stored.places if place is None else place
     world = fit_alignment(stored.places[known], upon[known], "SE2")

@@ -83,10 +83,7 @@ class Pair:
 def write_pair(folders: Sequence[Path]) -> Path:
     """Write the recording of two runs into ``pairs`` in the first one's folder unless it exists; return its path.
 
-    The runs' own files do not change.
-
-    Raises:
-        InputError: The folders are not two complete runs with a method in common.
+    The runs' own files do not change. Raises InputError unless these are two complete runs with a method in common.
     """
     pair = open_pair(folders)
     shown = [(folder.resolve().name, open_run(folder).model_dump_json(), hash_run(folder)) for folder in folders]

@@ -235,17 +235,9 @@ def turn_picture(polar: np.ndarray, angle: float) -> np.ndarray:
 
 
 def find_alike(recording: Recording, tests: np.ndarray, count: int) -> np.ndarray:
-    """Find the training observations most like each of some test observations.
+    """Indices (T, count) of the training observations most like each of T test observations, the most alike first.
 
     Polar images and scans are compared at every turn: the squared difference follows from a circular correlation.
-
-    Args:
-        recording: The recording; its training observations are read in pieces.
-        tests: Test observations (T, ...).
-        count: Number of training observations to find for each.
-
-    Returns:
-        Indices of training observations (T, count), the most alike first.
     """
     every = -(-len(recording.observation) // MAX_COMPARED)
     wanted = _shrink(tests, recording.kind)

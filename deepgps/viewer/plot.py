@@ -129,10 +129,7 @@ def log_distribution(
 ) -> None:
     """Log the share of test positions whose error is at most a given value.
 
-    Args:
-        stream: Stream to log to.
-        errors: Errors of each method (C,) [m], in as many runs as there are labels; all but the last run are pale.
-        labels: What distinguishes the runs.
+    Each method has errors (C,) [m] in as many runs as there are labels; all but the last run are pale.
     """
     curves = []
     for method, runs in errors.items():

@@ -125,16 +125,8 @@ def log_results(
     driven: np.ndarray,
     notes: Sequence[str],
 ) -> None:
-    """Log a run's error fields with their layers and their scale, and its figures.
-
-    Args:
-        stream: Stream to log to.
-        metrics: The contents of the run's metrics.json.
-        fields: Error fields by method name.
-        space: The room's floor.
-        driven: True positions of the training images (N, 2) [m].
-        notes: How to read what is shown.
-    """
+    """Log a run's error fields with their layers and scale, its figures, how to read them, and the coverage of its
+    floor by training images at true positions (N, 2) [m]."""
     log_scale(stream, "world/scale", *limits(space))
     for name, field in fields.items():
         log_field(stream, name, field)

@@ -34,15 +34,7 @@ SHOWN = 0.6  # Share of a colour scale that a picture shows once its error field
 
 
 def view(paths: Sequence[Path]) -> None:
-    """Open a run or a study, or two runs side by side, in the Rerun viewer and wait until it is closed.
-
-    Args:
-        paths: As in ``find_shown``.
-
-    Raises:
-        InputError: As in ``find_shown``.
-        WorkError: The viewer is missing or cannot open a window.
-    """
+    """Open the folders of ``find_shown`` in a window and wait until it is closed; raises as it does, or WorkError."""
     recording = find_shown(paths)
     fix = (
         f"without a display, copy {recording} to a machine that has one, or run: "
@@ -56,16 +48,10 @@ def view(paths: Sequence[Path]) -> None:
 
 
 def serve(paths: Sequence[Path], ports: tuple[int, int], say: Callable[[str], None]) -> None:
-    """Serve a run, a study or two runs to a browser until this process is interrupted, by Ctrl-C or by SIGTERM.
+    """Serve the folders of ``find_shown`` to a browser until this process is interrupted, by Ctrl-C or by SIGTERM.
 
-    Args:
-        paths: As in ``find_shown``.
-        ports: Ports of the page and of its data.
-        say: Called with the address once it can be opened.
-
-    Raises:
-        InputError: As in ``find_shown``.
-        WorkError: The viewer is missing or cannot serve.
+    The ports are those of the page and of its data; ``say`` is called with the address once it can be opened. Raises as
+    ``find_shown`` does, or WorkError if the viewer is missing or cannot serve.
     """
     page, data = ports
     recording, words = find_shown(paths), ["--serve-web", "--web-viewer-port", str(page)]
@@ -79,15 +65,10 @@ def serve(paths: Sequence[Path], ports: tuple[int, int], say: Callable[[str], No
 
 
 def write_screenshot(paths: Sequence[Path], out: Path) -> None:
-    """Write a picture of the first tab of what shows these folders, once its error field is drawn.
+    """Write as PNG the first tab of what shows these folders, once its error field is drawn.
 
-    Args:
-        paths: As in ``find_shown``.
-        out: The PNG to write.
-
-    Raises:
-        InputError: As in ``find_shown``, or a run has no truth.
-        WorkError: The viewer is missing, has no Vulkan driver, or draws no error field in time.
+    Raises as ``find_shown`` does, InputError for a run without truth, and WorkError if the viewer is missing, has no
+    Vulkan driver, or draws no error field in time.
     """
     for folder in paths:
         if not is_study(folder) and lacks_truth(folder):
@@ -111,14 +92,10 @@ def is_screenshot(data: bytes) -> bool:
 
 
 def find_shown(paths: Sequence[Path]) -> Path:
-    """Return the recording that shows these folders; write it if it is missing.
+    """The recording that shows one run, one study, or two runs together; it is written if it is missing.
 
-    Args:
-        paths: The folder of one run or of one study, or the folders of two runs, which share one recording.
-
-    Raises:
-        InputError: A folder is neither a run nor a finished study, its recording is truncated, or two runs cannot be
-            compared.
+    Raises InputError if a folder is neither a run nor a finished study, its recording is truncated, or two runs cannot
+    be compared.
     """
     if len(paths) != 1:
         return write_pair(paths)

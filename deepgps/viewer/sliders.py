@@ -64,18 +64,13 @@ class Slider:
 
 
 def find_sliders(rows: Sequence[Row], axes: Sequence[str], own: Mapping[str, Any]) -> list[Slider]:
-    """Find the sliders of a study; the viewer opens with the first.
+    """Find the sliders of a study's rows; the viewer opens with the first.
 
     Each axis with several values has a slider, as have cases and seeds if there are several. While a slider moves, all
-    other dimensions keep their base value: the scenario's own value if it occurs in the study, otherwise the first one.
-    The slider ``run`` goes through all runs unless exactly one dimension varies. If the scenario's own settings are one
-    of several cases, the other cases are named by the settings that differ. A setting with three or more values in
-    cases that change nothing else then also has a slider.
-
-    Args:
-        rows: The study's table.
-        axes: Names of the study's axes; everything else that varies is set by cases.
-        own: The scenario's own values by dotted name.
+    other dimensions keep their base value: the scenario's ``own`` value if it occurs in the study, otherwise the first
+    one. The slider ``run`` goes through all runs unless exactly one dimension varies. If the scenario's own settings
+    are one of several cases, the other cases are named by the settings that differ. A setting with three or more values
+    in cases that change nothing else then also has a slider.
     """
     runs = list(split_by(rows, "run").values())
     names = varied_in(rows[0])

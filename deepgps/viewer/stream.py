@@ -70,14 +70,8 @@ def send_rows(
 ) -> None:
     """Log rows of one archetype along timelines.
 
-    Args:
-        stream: Stream to log to.
-        path: The entity.
-        kind: The archetype.
-        at: Times of the rows.
-        rows: Its components that change, each with the values of all rows.
-        style: Its components that all rows have in common, logged statically.
-        lengths: Number of values of each row; None: one each.
+    Components that change have the values of all rows, so many each if there are ``lengths``, else one; those of the
+    style are the same in all rows and logged statically.
     """
     stream.log(path, kind.from_fields(**style), static=True)
     columns = kind.columns(**rows)
@@ -147,15 +141,7 @@ def lately(seconds: float, drive_s: float) -> list[rrb.VisibleTimeRange]:
 def save_recording(
     path: Path, number: str, title: str, blueprint: rrb.Blueprint, log: Callable[[rr.RecordingStream], None]
 ) -> None:
-    """Write a recording atomically.
-
-    Args:
-        path: The ``.rrd`` file.
-        number: The recording's id; equal contents have equal ids.
-        title: The recording's name in the viewer.
-        blueprint: The viewer's layout for it.
-        log: Function that logs its contents.
-    """
+    """Write a recording with this id, title and layout atomically; equal contents have equal ids."""
     # Chunks end by size and never by the clock, so that even a busy machine cuts equal runs into equal pieces.
     by_size = rr.ChunkBatcherConfig(flush_tick=timedelta(days=1))
     # The viewer keeps one layout for each application, so each recording is an application of its own.

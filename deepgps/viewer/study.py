@@ -54,10 +54,7 @@ def write_study(folder: Path) -> Path:
     """Write ``<study>/study.rrd`` unless it exists and is up to date; return its path.
 
     Equal studies give equal contents: the recording's id is a hash of everything it shows, and no wall-clock time is
-    written.
-
-    Raises:
-        InputError: The study has no table yet, or no finished run, or an incomplete one.
+    written. Raises InputError if the study has no table yet, or no finished run, or an incomplete one.
     """
     study, rows = read_study(folder)
     path, identity = folder / STUDY, hash_study(folder, rows)
@@ -67,11 +64,7 @@ def write_study(folder: Path) -> Path:
 
 
 def find_study(folder: Path) -> Path:
-    """Return a study's recording, written if it is missing, damaged or older than the report.
-
-    Raises:
-        InputError: It cannot be read.
-    """
+    """Return a study's recording, written if it is missing, damaged or older than the report; raises InputError."""
     path, report = folder / STUDY, folder / "table.md"
     if not is_intact(path) or (report.is_file() and path.stat().st_mtime < report.stat().st_mtime):
         return write_study(folder)

@@ -30,17 +30,10 @@ def log_loss(stream: rr.RecordingStream, name: str, history: History, at: Rows, 
 
 
 def log_snapshots(stream: rr.RecordingStream, name: str, place: np.ndarray, snapshots: np.ndarray, at: Rows) -> None:
-    """Log how the map unfolds, and as arrows what is wrong with it.
+    """Log how the map (k, n, 2) [m] unfolds, and as arrows what is wrong with it, by the true places (n, 2) [m].
 
     Each snapshot is aligned to the true places by translation and rotation. Only those of DeepGPS may be mirrored:
     distances leave a mirror ambiguity, which turns resolve only after the training.
-
-    Args:
-        stream: Stream to log to.
-        name: The method.
-        place: True places (n, 2) [m].
-        snapshots: Each snapshot's points (k, n, 2) [m].
-        at: Times of the snapshots.
     """
     kind = "E2" if name.startswith("deepgps") else "SE2"
     aligned = np.stack([fit_alignment(points, place, kind).apply(points) for points in snapshots.astype(float)])

@@ -62,12 +62,8 @@ def default_folder(study: Study) -> Path:
 def open_engine(name: EngineName, address: str | None) -> Iterator[RunAll]:
     """Open an engine and yield the function that does the runs, in local processes or as Ray tasks.
 
-    Args:
-        name: The engine.
-        address: Address of the Ray cluster; None: a cluster that is started here.
-
-    Raises:
-        InputError: Ray is missing, no cluster answers at the address, or another engine is given an address.
+    Without an address, a Ray cluster is started here. Raises InputError if Ray is missing, no cluster answers at the
+    address, or another engine is given one.
     """
     if name == "ray":
         with ray_cluster.open_cluster(address) as run_on_cluster:
@@ -80,18 +76,10 @@ def open_engine(name: EngineName, address: str | None) -> Iterator[RunAll]:
 
 @contextmanager
 def claim_study(study: Study, folder: Path, fresh: bool) -> Iterator[Path]:
-    """Hold a study folder for this process.
+    """Hold a study folder for this process and yield the folder to work in.
 
-    Args:
-        study: The study to run.
-        folder: The study's folder.
-        fresh: Whether to replace an existing study. The old one stays intact until the new one is complete.
-
-    Yields:
-        The folder to work in.
-
-    Raises:
-        InputError: The folder does not belong to deepgps, another process uses it, or it holds another study.
+    With ``fresh``, an existing study is replaced, and stays intact until the new one is complete. Raises InputError if
+    the folder does not belong to deepgps, another process uses it, or it holds another study.
     """
     with hold(folder, STUDY):
         place = choose_place(folder, STUDY, fresh)
@@ -126,17 +114,9 @@ def _refuse_another(study: Study, folder: Path) -> None:
 
 
 def carry_out(study: Study, plans: Sequence[Plan], place: Path, run_all: RunAll, progress: Report) -> Failures:
-    """Do all of a study's runs that are missing.
+    """Do all of a study's runs that are missing in the folder that this process holds.
 
-    Args:
-        study: The study.
-        plans: Its runs.
-        place: The folder that the study works in, which this process holds.
-        run_all: Function that does the runs whose recordings are finished.
-        progress: Called with the progress of recordings and runs.
-
-    Returns:
-        Reasons why runs failed, by the hash of the run; all other runs are done.
+    Returns the reasons why runs failed, by the hash of the run; all other runs are done.
     """
     missing = find_missing(study, plans, place)
     unrecorded = record_all(plans, missing, place, progress)

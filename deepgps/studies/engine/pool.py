@@ -41,16 +41,8 @@ class Task(Protocol):
 def do_all(tasks: Mapping[str, Task], most: int, progress: Tell) -> Failures:
     """Do tasks, each in one of at most ``most`` worker processes; a task whose process dies fails alone.
 
-    Args:
-        tasks: The tasks, by a name.
-        most: Most worker processes at once.
-        progress: Called with the work done, summed over all tasks.
-
-    Returns:
-        Reasons why tasks failed, by their names.
-
-    Raises:
-        WorkError: No worker process can be started.
+    Progress is the work done, summed over all tasks. Returns the reasons why tasks failed, by their names; raises
+    WorkError if no worker process can be started.
     """
     names, results = list(tasks), dict[str, str | None]()
     done = WORKERS.RawArray("q", [NOT_BEGUN] * len(names))

@@ -35,13 +35,9 @@ ENVIRONMENT = {
 
 @contextmanager
 def open_cluster(address: str | None) -> Iterator[Callable[[Sequence[Plan], Path, Report], Failures]]:
-    """Connect to the Ray cluster at an address, or start one here, and disconnect from it or end it afterwards.
+    """Connect to the Ray cluster at an address (auto, host:port), or start one of this machine's cores, and leave it.
 
-    Args:
-        address: An address that Ray accepts: auto, host:port; None: a cluster of this machine's cores.
-
-    Raises:
-        InputError: Ray is not installed, or no cluster answers.
+    Raises InputError if Ray is not installed, or no cluster answers.
     """
     if find_spec("ray") is None:
         raise InputError("--engine ray needs Ray: pip install ray (in a checkout: make setup-dev)")

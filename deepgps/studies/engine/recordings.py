@@ -65,16 +65,9 @@ class CollectTask:
 
 
 def record_all(plans: Sequence[Plan], missing: Sequence[Plan], folder: Path, progress: Report) -> Failures:
-    """Make the recordings that are missing.
+    """Make the recordings of the missing runs; all runs of the study determine how long each drive must be.
 
-    Args:
-        plans: All runs of the study, which determine how long each drive must be.
-        missing: Runs whose recordings are needed now.
-        folder: The study's folder.
-        progress: Called with the number of samples collected, then with the number of recordings derived.
-
-    Returns:
-        Reasons why recordings failed, by the hash of the recording.
+    Returns the reasons why recordings failed, by the hash of the recording.
     """
     drives, home = find_drives(plans), folder / "recordings"
     wanted = _find_wanted(missing, home)
@@ -108,16 +101,10 @@ def find_drives(plans: Sequence[Plan]) -> dict[str, Scenario]:
 
 
 def collect_all(scenarios: Mapping[str, Scenario], bases: Mapping[str, Path], home: Path, progress: Report) -> Failures:
-    """Collect drives; one that shares another's training drive comes after it.
+    """Collect drives by the names of their folders; one that shares another's training drive comes after it.
 
-    Args:
-        scenarios: What to collect, by the name of its folder.
-        bases: Folder of a recording with the same training drive, for each; the first of several is its own.
-        home: The folder of all recordings.
-        progress: Called with the number of samples collected and their total.
-
-    Returns:
-        Reasons why drives failed, by their names.
+    Each has the folder of a recording with the same training drive, the first of several its own. Returns the reasons
+    why drives failed, by their names.
     """
     first = [key for key in scenarios if bases[key] == home / key or is_whole(bases[key])]
     total, before, failed = sum(one.drive.samples for one in scenarios.values()), 0, Failures()

@@ -78,15 +78,9 @@ class DiagnoseTask:
 
 
 def run_all(plans: Sequence[Plan], folder: Path, progress: Report) -> Failures:
-    """Train and measure these runs in local processes: one per core, as far as they fit on a GPU.
+    """Train and measure runs with finished recordings in local processes: one per core, as far as they fit on a GPU.
 
-    Args:
-        plans: The runs, whose recordings are finished.
-        folder: The study's folder.
-        progress: Called with the training steps done and their number, summed over all runs.
-
-    Returns:
-        Reasons why runs failed, by the hash of the run.
+    Returns the reasons why runs failed, by the hash of the run.
     """
     tasks = {}
     for plan in plans:
@@ -99,17 +93,9 @@ def run_all(plans: Sequence[Plan], folder: Path, progress: Report) -> Failures:
 def do_run(
     scenario: Scenario, folder: Path, recording: str, progress: Report, plugins: Sequence[Path] = ()
 ) -> str | None:
-    """Do the missing stages of one run on a finished recording.
+    """Do the missing stages of one run on a finished recording, a folder in ``recordings`` of the study's folder.
 
-    Args:
-        scenario: The scenario to run.
-        folder: The run's folder, in ``runs`` of the study's folder.
-        recording: Name of the recording's folder, in ``recordings`` of the study's folder.
-        progress: Called with the progress of each stage.
-        plugins: Files of plugins, which this process loads unless it has.
-
-    Returns:
-        The reason why the run failed; None: the run is done.
+    This process loads the files of plugins unless it has. Returns why the run failed; None: it is done.
     """
     # Torch reads these when it is imported, at the first run. One thread, since each worker has one core to itself.
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")

@@ -53,14 +53,10 @@ NOTE = (
 
 
 def draw_runs(common: Mapping[str, Any], drives: Sequence[tuple[int, Point]]) -> list[tuple[int, Point]]:
-    """Seeds and settings of all recordings.
+    """Seeds and settings of all recordings, from the settings common to all and the seed and settings of each drive.
 
     A drive with equal wheels gives five recordings without faults, five with radii that are wrong alike, eleven with
     one fault and two with two; one with unequal wheels a recording with this fault alone, and one with a second fault.
-
-    Args:
-        common: Settings of all recordings.
-        drives: Seed and settings of each drive.
     """
     runs: list[tuple[int, Point]] = []
     single = 0

@@ -182,14 +182,8 @@ def keep_segments(recording: Recording, seen: np.ndarray) -> Recording:
 
 
 def _keep_turns(turns: Turns, rows: np.ndarray, reading: np.ndarray, observed: np.ndarray) -> Turns:
-    """The turns between segments that followed each other, and one relocation for each gap.
-
-    Args:
-        turns: Those of the complete recording.
-        rows: Its readings that are kept (R,).
-        reading: These, numbered again (R, 4).
-        observed: Its observations that are kept.
-    """
+    """The turns between segments that followed each other, and one relocation for each gap, after only rows (R,) of the
+    readings and these observations are kept; ``reading`` (R, 4) numbers them again."""
     first = np.flatnonzero(np.diff(reading[:, 0])) + 1
     jump = {row: (reading[row - 1, 1], NO_IMAGE, row, KINDS.index("relocated")) for row in first.tolist()}
     follows = np.isin(turns.after, rows) & np.isin(turns.after - 1, rows)

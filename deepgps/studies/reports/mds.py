@@ -94,9 +94,8 @@ def find_distances(run: Path, method: str) -> Distances:
 def scale_all(distance: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     """Classical multidimensional scaling of all distances (n, n) [m] to a plane.
 
-    Returns:
-        The map (n, 2) [m]; the largest eigenvalues, descending [m^2]; the share of the two largest in the sum of all
-        absolute eigenvalues.
+    Returns the map (n, 2) [m]; the largest eigenvalues, descending [m^2]; the share of the two largest in the sum of
+    all absolute eigenvalues.
     """
     size, axes = (part[..., ::-1] for part in find_axes(distance))
     total = max(float(np.abs(size).sum()), 1e-300)

@@ -33,14 +33,7 @@ def load(name: str) -> Callable[..., Any]:
 
 
 def report_study(study: Study, plans: Sequence[Plan], failures: Mapping[str, str], folder: Path) -> str:
-    """Write ``table.parquet``, ``table.md`` and ``figures`` of a study; return the report in Markdown.
-
-    Args:
-        study: The study.
-        plans: Its runs.
-        failures: Reasons why runs failed, by the hash of the run.
-        folder: The study's folder.
-    """
+    """Write ``table.parquet``, ``table.md`` and ``figures`` of a study; return the report in Markdown."""
     report = REPORTS[study.report]
     rows = (report.gather or gather)(plans, failures, folder)
     write_table(folder / "table.parquet", rows)
@@ -69,15 +62,8 @@ def add_columns(rows: Sequence[Row], add: Callable[[Path, Row], Row], folder: Pa
 def publish(study: Study, folder: Path, target: Path) -> None:
     """Copy a study's results, without its runs, and their checksums to a folder that can be committed.
 
-    A picture that the report no longer draws is removed there. If it is interrupted, it can be repeated.
-
-    Args:
-        study: The study.
-        folder: The study's folder.
-        target: Where its results are published.
-
-    Raises:
-        InputError: A file there is not as deepgps published it.
+    A picture that the report no longer draws is removed there. If it is interrupted, it can be repeated. Raises
+    InputError if a file there is not as deepgps published it.
     """
     check_publish(target)
     pictures = (f"figures/{name}.png" for name in REPORTS[study.report].pictures)
