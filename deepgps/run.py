@@ -25,19 +25,11 @@ def run(
     recording: Path | None = None,
     last: Stage = "show",
 ) -> dict[str, Any] | None:
-    """Run the stages of a scenario.
+    """Run the stages of a scenario in a folder up to the last one, on a recording that exists already or on a drive.
 
-    Args:
-        scenario: What to run.
-        folder: The run folder.
-        fresh: Whether to replace an existing run, once the new one is complete.
-        progress: Called with the steps done and their number, in each stage.
-        recording: A recording that exists already, to which the run links; None: the run drives.
-        last: The last stage to run.
-
-    Returns:
-        The contents of ``metrics.json``, or, of a recording without truth, of ``without_truth.json``; None if the
-        recording holds the truth, but no test observations to measure errors at, or if nothing is to be measured.
+    With ``fresh``, an existing run is replaced once the new one is complete. Returns the contents of ``metrics.json``,
+    or, of a recording without truth, of ``without_truth.json``; None if the recording holds the truth, but no test
+    observations to measure errors at, or if nothing is to be measured.
     """
     with claim(scenario, folder, fresh) as place:
         if recording is not None:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 MOST = {
-    "lines of sim and deepgps": 42_400,
+    "lines of sim and deepgps": 42_050,
     "files of sim and deepgps": 280,
     "lines of tests": 28_100,
     "Python files directly in deepgps": 2,

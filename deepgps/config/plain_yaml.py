@@ -43,11 +43,7 @@ class _Loader(yaml.SafeLoader):
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
-    """Read a YAML mapping of plain values.
-
-    Raises:
-        InputError: The file is not such a mapping; the message names the file, the line and the problem.
-    """
+    """Read a YAML mapping of plain values; raises InputError, which names the file, the line and the problem."""
     what = shorten(str(path), 300)
     data = read_file(path, LARGEST_FILE, f"{what}: a settings file")
     try:

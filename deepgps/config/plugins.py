@@ -26,10 +26,8 @@ LARGEST = 10 * 1024 * 1024
 def load_plugins(files: Iterable[str | Path]) -> None:
     """Add what these plugins define to ``METHODS`` and ``ENCODER_FAULTS``; call it before scenarios are read.
 
-    An exception of a plugin's code is passed on.
-
-    Raises:
-        InputError: A file cannot be read, is no plugin, or defines a name that is taken.
+    Raises InputError if a file cannot be read, is no plugin, or defines a name that is taken; an exception of a
+    plugin's code is passed on.
     """
     for file in files:
         path = Path(file).absolute()

@@ -119,15 +119,9 @@ Spell = Callable[[str], str]  # Writes the dotted name of a setting as the user 
 
 
 def load_scenario(source: str, overrides: Mapping[str, Any], spell: Spell = as_key) -> Scenario:
-    """Read a scenario and apply overrides.
+    """Read a scenario, in assets/scenarios or at a path, and apply overrides by dotted name: ``{"room.seed": "3"}``.
 
-    Args:
-        source: A name in assets/scenarios, or the path of a YAML file.
-        overrides: Values by dotted name, such as ``{"room.seed": "3"}``.
-        spell: How messages write the names of overrides.
-
-    Raises:
-        InputError: A setting is wrong; the message names the field, the value and what is allowed.
+    ``spell`` is how messages write their names. Raises InputError, which names the field, the value and what is allowed.
     """
     path = find_settings("scenario", SCENARIOS, source)
     return override_scenario(read_yaml(path), path, overrides, spell)
@@ -138,9 +132,8 @@ def override_scenario(
 ) -> Scenario:
     """Make a scenario from the plain values of a file, which are not modified, and overrides.
 
-    Raises:
-        InputError: Settings are wrong; one line names them, their values and what is allowed, and the file unless the
-            overrides alone are wrong.
+    Raises InputError if settings are wrong; one line names them, their values and what is allowed, and the file unless
+    the overrides alone are wrong.
     """
     given, overrides = {"name": clean_name(path.stem), **values}, flatten(overrides)
     values = given
@@ -164,11 +157,8 @@ def clean_name(text: str) -> str:
 def flatten(overrides: Mapping[str, Any]) -> dict[str, Any]:
     """Overrides by the dotted names of single settings: a group given as a mapping sets what it names, and no more.
 
-    Args:
-        overrides: Values by dotted name, such as ``{"drive": {"samples": 300}, "room.seed": 3}``.
-
-    Raises:
-        InputError: A setting is given twice, as by ``drive.samples`` and in ``drive``.
+    They are such as ``{"drive": {"samples": 300}, "room.seed": 3}``. Raises InputError if a setting is given twice, as
+    by ``drive.samples`` and in ``drive``.
     """
     flat: dict[str, Any] = {}
     for name, value in _list_leaves(overrides):
@@ -189,8 +179,7 @@ def _list_leaves(values: Mapping[str, Any], before: str = "") -> Iterator[tuple[
 def find_settings(kind: str, folder: Path, source: str) -> Path:
     """Path of the settings file called ``source`` in a folder, or at that path.
 
-    Raises:
-        InputError: There is no such file; the message names it as a ``kind`` of thing, and those that exist.
+    Raises InputError if there is none; the message names it as a ``kind`` of thing, and those that exist.
     """
     path = Path(source)
     if path.suffix in {".yaml", ".yml"} or "/" in source:

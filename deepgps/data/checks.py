@@ -50,13 +50,9 @@ def check_recording(recording: Recording) -> None:
 
 
 def check_readings(reading: np.ndarray, time: np.ndarray, observations: int, odometry: Mapping[str, Any]) -> None:
-    """Raise InputError if readings cannot be those of a drive.
+    """Raise InputError if readings cannot be those of a drive with so many observations.
 
-    Args:
-        reading: (R, 4): segment, observation, cumulative left and right ticks, in the order driven.
-        time: Time of each reading (R,) [s].
-        observations: Number of observations.
-        odometry: The manifest's odometry constants.
+    Readings (R, 4) are segment, observation, cumulative left and right ticks, in the order driven, with times (R,) [s].
     """
     if reading.ndim != 2 or reading.shape[1] != 4 or not len(reading):
         raise InputError(f"readings {reading.shape}: must have rows of 4 numbers, at least one")

@@ -72,15 +72,9 @@ def describe(
 ) -> torch.Tensor:
     """Heading-invariant description (N, K) float32 of each observation; vectors are returned unchanged.
 
-    Args:
-        observation: Polar images (N, rings, sectors, colours) uint8, scans (N, headings, rays) or vectors (N, M).
-        frequencies: Highest frequency kept.
-        edges: Edges of the rings that scans are drawn as (rings + 1,) [m].
-        heading: Index of the scans' heading to use.
-        values: ranks: each pixel counts by its rank within its image, and not by its value.
-
-    Raises:
-        InputError: The observations have any other shape.
+    Observations are polar images (N, rings, sectors, colours) uint8, scans (N, headings, rays), of which one heading is
+    used and drawn as rings with these edges (rings + 1,) [m], or vectors (N, M); InputError if they are anything else.
+    With ranks as values, each pixel counts by its rank within its image, and not by its value.
     """
     array = np.asarray(observation)
     if array.ndim == 2:
@@ -148,8 +142,7 @@ def fit_features(
 ) -> tuple[Features, torch.Tensor]:
     """Fit the projection on observations that networks learn from and apply it to all; of many, a sample is fitted.
 
-    Returns:
-        The projection and the observations' features (N, components); their mean square over the fitted sample is 1.
+    Returns it and the observations' features (N, components); their mean square over the fitted sample is 1.
     """
     sample, chosen = subsample_learned(segments, len(observation))
     edges = find_edges(observation, settings.rings)

@@ -8,11 +8,7 @@ from sim.recording.format import Recording, open_labels, open_truth
 
 
 def read_places(recording: Recording) -> tuple[torch.Tensor, torch.Tensor]:
-    """Labelled observations (n,) and their positions (n, 2) float64 [m]; those without a label are left out.
-
-    Raises:
-        InputError: No observation has a label.
-    """
+    """Labelled observations (n,) and their positions (n, 2) float64 [m]; raises InputError if none has a label."""
     labels = open_labels(recording.folder)
     place = (open_truth(recording.folder).pose if labels is None else labels.pose)[:, :2]
     known = np.flatnonzero(np.isfinite(place).all(axis=1))

@@ -121,10 +121,8 @@ class Segments:
 def read_segments(recording: Recording) -> Segments:
     """Read the straight segments of a recording: runs of readings with the same segment number.
 
-    A distance is ``2 pi r / ticks_per_rev`` times the mean of the left and right ticks since the first reading.
-
-    Raises:
-        InputError: No segment has two readings, no wheel turned, or the odometry constants are missing.
+    A distance is ``2 pi r / ticks_per_rev`` times the mean of the left and right ticks since the first reading. Raises
+    InputError if no segment has two readings, no wheel turned, or the odometry constants are missing.
     """
     travelled = travel(recording.reading[:, 2:], recording.manifest.odometry).mean(axis=1)
     runs = find_runs(recording)
@@ -172,10 +170,9 @@ def find_held_out(segments: Segments, observations: int) -> torch.Tensor:
 def leave_held_out(
     index: torch.Tensor, places: torch.Tensor, segments: Segments, observations: int
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """The labelled observations (n,) and their positions (n, 2) [m] without those that are held out from learning.
+    """The labelled observations (n,) and their positions (n, 2) [m] that are not held out from learning.
 
-    Raises:
-        InputError: None is left.
+    Raises InputError if none is left.
     """
     learned = ~find_held_out(segments, observations)[index]
     if not learned.any():

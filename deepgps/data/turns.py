@@ -68,16 +68,10 @@ class SeenTurns(NamedTuple):
 def compare_images(recording: Recording, turns: Turns | None = None, trained: Upright | None = None) -> SeenTurns:
     """Compare the images before and after each turn of a recording, or some of its turns.
 
-    Images of a camera that leans are set upright and compared again, until the lean that is left is small.
-
-    Args:
-        recording: With images after turns.
-        turns: Some of its turns; None: all.
-        trained: Where the lean begins, and the parallax, which lasts: the lean is then that of all rings less the
-            parallax, which takes fewer turns. None: the lean is measured near the horizon, without parallax.
-
-    Raises:
-        InputError: The recording has no turns or no polar images.
+    Images of a camera that leans are set upright and compared again, until the lean that is left is small. Once
+    ``trained``, it begins with that lean and the parallax, which lasts: the lean is then that of all rings less the
+    parallax, which takes fewer turns; else it is measured near the horizon, without parallax. Raises InputError if the
+    recording has no turns or no polar images.
     """
     if (recorded := turns_with_images(recording)) is None:
         raise InputError(
@@ -163,8 +157,7 @@ class CompassTurns:
 def measure_turns(recording: Recording) -> CompassTurns:
     """Measure all turns of a recording, and the camera's lean, which changes what an image shows of a turn.
 
-    Raises:
-        InputError: The recording has no turns or no polar images.
+    Raises InputError if the recording has no turns or no polar images.
     """
     (seen, upright), turns = compare_images(recording), recording.turns
     assert turns is not None

@@ -89,14 +89,10 @@ def can_diagnose(recording: Recording) -> bool:
 
 @threadpool_limits.wrap(limits=1)  # with more threads, sums depend on the number of cores
 def diagnose(recording: Recording, sight: Sight | None = None) -> Diagnosis:
-    """Diagnose the wheels of a recording.
+    """Diagnose the wheels of a recording; noise in its odometry's data sheet is not used.
 
-    Args:
-        recording: The recording. Noise in its odometry's data sheet is not used.
-        sight: Angles that a recording of the same images has found already.
-
-    Raises:
-        InputError: It has no images after turns, or its readings cannot be used.
+    Angles may be those that a recording of the same images has found already. Raises InputError if it has no images
+    after turns, or its readings cannot be used.
     """
     if recording.manifest.wheels_computed:
         raise InputError(f"{recording.folder}: its wheels were computed from an odometry, which cannot be diagnosed")

@@ -64,13 +64,10 @@ def read_gaps(recording: Recording) -> Gaps:
 
 
 def find_stuck(way: np.ndarray, inside: np.ndarray, wheel: int, tick_m: float) -> list[Stretch]:
-    """Find the stretches in which a wheel counts nothing while the other one travels.
+    """Find the stretches in which a wheel (0 left, 1 right) counts nothing while the other one travels.
 
-    Args:
-        way: Distance by the left and the right wheel in each gap (G, 2) [m].
-        inside: Whether the gap is on a segment (G,); in a turn one wheel may stand still.
-        wheel: 0 left, 1 right.
-        tick_m: Distance that a wheel travels between two counts [m].
+    Ways of the left and the right wheel are those of each gap (G, 2) [m], of which some are inside segments (G,); in a
+    turn one wheel may stand still. A tick is the distance between two counts [m].
     """
     other = np.abs(way[:, 1 - wheel]) * inside
     found = []
@@ -216,14 +213,10 @@ def _collect(step: np.ndarray, drift: np.ndarray, size: dict[str, np.ndarray], r
 
 
 def _fit(runs: Runs, grow: Callable[[float], np.ndarray], rounding_m2: float, width_m: float) -> Fit:
-    """Maximise the likelihood over a standard deviation.
+    """Maximise the likelihood over a standard deviation, which ``grow`` turns into the variance of each gap.
 
-    Args:
-        runs: The runs.
-        grow: Turns the standard deviation into the variance of each gap.
-        rounding_m2: Variance of the rounding of a reading, if the wheels round independently [m^2].
-        width_m: How far rounding alone can move the readings of a run apart, with a fifth or more to spare for the
-            error of the drift [m].
+    The rounding's variance is that of a reading, if the wheels round independently [m^2]; the width is how far rounding
+    alone can move the readings of a run apart, with a fifth or more to spare for the error of the drift [m].
     """
     if runs.valid.sum() - len(runs.valid) < 10:
         return Fit(0.0, 0.0, 1.0, 0.0, 1.0)

@@ -96,18 +96,9 @@ def digest_files(recording: Recording) -> str:
 
 
 def diagnose_folder(folder: Path, out: Path | None, progress: Report) -> tuple[Diagnosis, Path | None]:
-    """Diagnose the wheels of a recording or of a run, and write what was found.
+    """Diagnose the wheels of a recording or of a run, and write what was found to a file, or to that of the run.
 
-    Args:
-        folder: The folder of a recording or of a run.
-        out: The file to write; None: that of the run, if the recording is a run's.
-        progress: Called before and after.
-
-    Returns:
-        The diagnosis, and the file that was written, if any.
-
-    Raises:
-        InputError: The folder is neither, or the recording has no images after turns.
+    Also returns the file, if any. Raises InputError if the folder is neither, or there are no images after turns.
     """
     home = folder if isfile(folder / "manifest.json") else folder / "recording"
     if not isfile(home / "manifest.json"):

@@ -44,11 +44,7 @@ class Sight:
 
 
 def see_turns(recording: Recording, sight: Sight) -> Hypotheses:
-    """Hypotheses of all turns (T) of a recording.
-
-    Raises:
-        InputError: The recording has no turns or no polar images.
-    """
+    """Hypotheses of all turns (T) of a recording; raises InputError if it has no turns or no polar images."""
     if (turns := turns_with_images(recording)) is None:
         raise InputError(
             f"{recording.folder} has no images after turns (turns.npy), with which the wheels are compared; record "
@@ -170,15 +166,9 @@ def measure_turn_scale(
 def measure_curvature(recording: Recording, gaps: Gaps, sight: Sight, scale: float) -> tuple[Slope, int]:
     """Curvature of the segments, to the left [1/m], and the number of pairs of images that tell it.
 
-    Two images of one place, a while apart, differ in heading by the turns between them, which the camera knows, and
-    by the curvature times the distance between them, which no turn explains. The curvature for which most pairs agree
-    is sought first, since angles are known but for whole turns.
-
-    Args:
-        recording: The recording.
-        gaps: Its gaps.
-        sight: Its angles.
-        scale: Turns by the wheels over turns by the camera.
+    Two images of one place, a while apart, differ in heading by the turns between them, which the camera knows, and by
+    the curvature times the distance between them, which no turn explains. The curvature for which most pairs agree is
+    sought first, since angles are known but for whole turns. ``scale``: turns by the wheels over those by it.
     """
     turns, reading = recording.turns, recording.reading
     assert turns is not None

@@ -123,12 +123,7 @@ def read_all_headings(run: Path) -> dict[str, ErrorField]:
 
 
 def find_worst(field: ErrorField, among: np.ndarray | None = None) -> WorstField:
-    """The error field with the largest error per position.
-
-    Args:
-        field: The error field at all headings.
-        among: The images to choose from (C, H) bool; positions without any are left out. None: all.
-    """
+    """The largest error per position among some images (C, H) bool, or all; positions without any are left out."""
     among = np.ones(field.predicted.shape[:2], bool) if among is None else among
     cells = np.flatnonzero(among.any(axis=1))
     error = np.where(among, field.error, -1.0)[cells]

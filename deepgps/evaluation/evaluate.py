@@ -70,13 +70,7 @@ class Predictions(NamedTuple):
 def evaluate(run: Path, scenario: Scenario, progress: Report = ignore) -> dict[str, Any]:
     """Measure all methods of a run; write its ``error_field.npz`` and the alignment of each method.
 
-    Args:
-        run: Run folder with a recording and the trained methods.
-        scenario: The scenario of the run.
-        progress: Called with the number of methods measured and their number.
-
-    Returns:
-        The measured part of ``metrics.json``: counts, coverage, trajectory, distances, methods.
+    Returns the measured part of ``metrics.json``: counts, coverage, trajectory, distances, methods.
     """
     with use_threads(scenario.learn.train.threads):
         return _measure(run, scenario, progress)

@@ -28,12 +28,7 @@ def open_drive_in_use(recording: Recording) -> Recording | None:
 def adapt(positioner: Positioner, drive: Recording | None) -> tuple[Positioner, dict[str, float]]:
     """A positioner for images in use: its correction of the camera's lean is that of the drive in use, if it has one.
 
-    Args:
-        positioner: As trained.
-        drive: The drive in use; None: the camera is taken to lean as in training.
-
-    Returns:
-        The positioner in use, and the lean in use for ``metrics.json``, which only methods have that correct it.
+    Also returns the lean in use for ``metrics.json``, which only methods have that correct it.
     """
     if drive is None or not isinstance(positioner, FeaturePositioner) or positioner.upright is None:
         return positioner, {}
@@ -44,15 +39,8 @@ def adapt(positioner: Positioner, drive: Recording | None) -> tuple[Positioner, 
 def measure_in_use(positioner: Positioner, alignment: Alignment, drive: Recording, folder: Path) -> ErrorField:
     """Error field of a method on the images of the drive in use, each at a place of its own.
 
-    Args:
-        positioner: The positioner in use.
-        alignment: From its frame to the world's, fitted on training samples.
-        drive: The drive in use.
-        folder: The method's folder, for messages.
-
-    Raises:
-        InputError: Its truth has another number of poses.
-        WorkError: The method predicts no position.
+    Raises InputError if the drive's truth has another number of poses, WorkError if the method predicts no position;
+    the folder is for messages.
     """
     pose, found = open_truth(drive.folder).pose, find_poses(positioner, drive.observation)
     if len(pose) != len(found.position):

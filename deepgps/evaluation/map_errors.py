@@ -55,12 +55,11 @@ def is_undecided(training: Mapping[str, Any]) -> bool:
 
 
 def judge_map(placed: PlacedMap) -> dict[str, float]:
-    """Measure a map against the truth.
+    """Measure a map against the truth: ``rms_m``, ``median_m``, ``max_m``, ``flipped_m2``, ``nees``.
 
-    Returns:
-        ``rms_m``, ``median_m``, ``max_m``; ``flipped_m2``, the area of the largest connected patch that the map turns
-        over; and ``nees``, the normalised estimation error squared over its expectation of 2: 1 for a covariance that
-        is right (Bar-Shalom et al., "Estimation with Applications to Tracking and Navigation", 2001, Sec. 5.4).
+    ``flipped_m2`` is the area of the largest connected patch that the map turns over; ``nees`` the normalised
+    estimation error squared over its expectation of 2: 1 for a covariance that is right (Bar-Shalom et al., "Estimation
+    with Applications to Tracking and Navigation", 2001, Sec. 5.4).
     """
     apart = placed.position - placed.truth
     error = np.linalg.norm(apart, axis=1)
@@ -120,15 +119,7 @@ class TurnedParts:
 
 
 def find_turned_parts(positions: np.ndarray, recording: Recording) -> TurnedParts | None:
-    """Compare the turns of a map with those that the images before and after them show.
-
-    Args:
-        positions: Predictions of the training observations (N, 2) [m], mirrored or not.
-        recording: Of polar images.
-
-    Returns:
-        None without turn images.
-    """
+    """Compare the turns of a map (N, 2) [m], mirrored or not, with those that images show; None without turn images."""
     if (turns := turns_with_images(recording)) is None:
         return None
     runs = [run for run in find_runs(recording) if len(run) >= 2]

@@ -58,17 +58,10 @@ RAYS = 180
 
 
 def measure_visible(space: FreeSpace, points: np.ndarray) -> np.ndarray:
-    """Share of the reachable floor that straight drives from each point reach.
+    """Share (C,) of the reachable floor that straight drives from points (C, 2) [m] reach; 0 if the robot does not fit.
 
     Rays are followed from the point to the first cell where the robot does not fit; a ray of length r represents a
     sector of area ``pi r^2 / rays`` (the isovist of Benedikt 1979, with the robot's centre in place of an eye).
-
-    Args:
-        space: Where the robot fits.
-        points: Places (C, 2) [m].
-
-    Returns:
-        Shares (C,) from 0 to 1; 0 for a place where the robot does not fit.
     """
     angle = 2 * np.pi * (np.arange(RAYS) + 0.5) / RAYS
     direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -92,13 +85,9 @@ PATCH_SPACING_M = 0.1  # Side of the cells on which patches are measured [m]
 def measure_flipped(truth: np.ndarray, predicted: np.ndarray, spacing_m: float) -> float:
     """Share of a map that is flipped, as by a fold: 0 for a correct map, at most a half.
 
-    Args:
-        truth: Test positions (C, 2) [m] on a grid.
-        predicted: One prediction for each (C, 2) [m]; the share is invariant to rigid motions and reflections of all.
-        spacing_m: Spacing of the grid [m].
-
-    Returns:
-        The share of neighbourhoods (a position, its right and its upper neighbour) with the rarer orientation.
+    Test positions are on a grid of this spacing, with a prediction for each, both (C, 2) [m]. The share is that of the
+    neighbourhoods (a position, its right and its upper neighbour) with the rarer orientation, which no rigid motion or
+    reflection of the map changes.
     """
     area = _measure_areas(np.rint((truth - truth.min(axis=0)) / spacing_m).astype(int), predicted)
     area = area[np.isfinite(area)]
@@ -182,13 +171,9 @@ REFUSED = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1)  # Shares of images refused in the
 
 
 def make_field(poses: Poses, true: np.ndarray, alignment: Alignment, with_yaw: bool = True) -> ErrorField:
-    """The error field of poses of C * H images in a method's frame; places of which the truth is NaN are left out.
+    """The error field of poses of C * H images in a method's frame, which the alignment takes to that of the truth.
 
-    Args:
-        poses: The poses.
-        true: True poses of the images (C, H, 3): x, y [m], yaw [rad].
-        alignment: From the method's frame to that of the truth.
-        with_yaw: Whether yaws are kept, where the method estimates them.
+    True poses (C, H, 3) are x, y [m], yaw [rad]; places where they are NaN are left out.
     """
     shape, known = true.shape[:2], np.isfinite(true).all(axis=(1, 2))
     parts = {name: getattr(poses, source) for name, source in PARTS.items()}
@@ -212,14 +197,9 @@ def summarise(error: np.ndarray) -> dict[str, float]:
 
 
 def summarise_acceptance(field: ErrorField) -> dict[str, Any]:
-    """What a method accepts, the errors of that, and how well its novelty and its radii tell errors.
+    """Figures of what a method accepts, the errors of that, and how well its novelty and its radii tell errors.
 
-    Args:
-        field: The method's error field.
-
-    Returns:
-        Figures for ``metrics.json``; those of parts that the method does not give are left out. A figure is None where
-        there are too few images to compute it from.
+    Those of parts that the method does not give are left out; one is None where there are too few images for it.
     """
     return {**_judge_accepted(field), **_judge_radii(field), **_judge_novelty(field)}
 
@@ -279,14 +259,10 @@ def _pick(values: np.ndarray, rows: Sequence[int]) -> list[float]:
 
 
 def find_risk(error: np.ndarray, score: np.ndarray) -> np.ndarray:
-    """RMS error [m] of the k images with the lowest scores, for k from 1 to all (n,).
+    """RMS error [m] of the k images with the lowest scores, for k from 1 to all (n,); a score of NaN is the highest.
 
     The mean of this curve is the area under it (AURC; Geifman, Uziel, El-Yaniv, "Bias-Reduced Uncertainty Estimation
     for Deep Neural Classifiers", ICLR 2019, with the RMS error as risk).
-
-    Args:
-        error: Errors of the images, of any shape [m].
-        score: What the images are ranked by, of the same shape; NaN counts as the highest.
     """
     squared = np.cumsum(sort_by(score, error) ** 2)
     return np.sqrt(squared / np.arange(1, len(squared) + 1))

@@ -75,14 +75,9 @@ def reckon_path(recording: Recording, pose: np.ndarray) -> np.ndarray:
 
 
 def measure_distances(recording: Recording, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Distance since the start of the segment at each reading, by encoder and true, and their cumulative difference.
+    """Distance (R,) [m] since the start of the segment at each reading, by encoder and true, and their summed difference.
 
-    Args:
-        recording: The recording.
-        pose: True pose at each observation (N, 3).
-
-    Returns:
-        Three arrays (R,) [m]; the last accumulates over all segments.
+    True poses (N, 3) are at the observations.
     """
     segment, observation, ticks = recording.reading[:, 0], recording.reading[:, 1], recording.reading[:, 2:]
     way = travel(ticks, recording.manifest.odometry).mean(axis=1)

@@ -23,13 +23,7 @@ def has_alignment(folder: Path) -> bool:
 
 
 def write_alignment(folder: Path, alignment: Alignment, kind: AlignmentKind) -> None:
-    """Write the alignment of a method's map with the world.
-
-    Args:
-        folder: The method's folder.
-        alignment: The transform from the method's frame to the world's.
-        kind: The kind of transform that was fitted.
-    """
+    """Write the alignment of a method's map with the world, and the kind of transform that was fitted."""
     values = {
         "fitted_on": "truth",
         "kind": kind,
@@ -42,11 +36,7 @@ def write_alignment(folder: Path, alignment: Alignment, kind: AlignmentKind) -> 
 
 
 def read_alignment(folder: Path) -> Alignment:
-    """Read the alignment of a method's map with the world.
-
-    Raises:
-        InputError: The method has not been evaluated, or has been trained again since.
-    """
+    """Read the alignment of a method's map; raises InputError if it is not evaluated, or was trained again since."""
     path = folder / FILE
     words = (str(folder.parent / "scenario.yaml"), "--out", str(folder.parent))
     evaluate = f"deepgps evaluate {shlex.join(words)} writes it"

@@ -56,15 +56,8 @@ class Tracked:
 def track_run(run: Path, method: str | None, drive: Path | None, progress: Report) -> Tracked:
     """Track the robot, and write ``tracking/<method>.npz`` and ``.json`` in the run's folder.
 
-    Args:
-        run: The run's folder.
-        method: A trained method; None: the first of the run.
-        drive: Folder of a recording; None: the drive in use.
-        progress: Called with the steps done.
-
-    Raises:
-        InputError: The folder is no run, is in use, has no such method or no drive in use, or the truth of both drives
-            is known but the run has not been evaluated.
+    By default the method is the first of the run, and the drive that in use. Raises InputError if the folder is no run,
+    is in use, has no such method or no drive in use, or the truth of both drives is known but it is not evaluated.
     """
     scenario = open_run(run)
     with hold(run, RUN, "the run"):
@@ -92,10 +85,8 @@ def _track_held(run: Path, scenario: Scenario, method: str | None, drive: Path |
 def write_tums(folder: Path, tracked: Tracked) -> list[Path]:
     """Write each path, and the truth if it is known, as TUM files, by the log's own time where there is a log.
 
-    Poses are in the world's frame if evaluation has placed the map there, else in the map's own.
-
-    Raises:
-        InputError: A file of such a name is there that deepgps did not write.
+    Poses are in the world's frame if evaluation has placed the map there, else in the map's own. Raises InputError if a
+    file of such a name is there that deepgps did not write.
     """
     track, alignment = tracked.track, tracked.alignment
     poses = {
@@ -141,8 +132,7 @@ def _open_drive(run: Path, drive: Path | None, method: str) -> tuple[Recording, 
 def _find_alignment(folder: Path, recording: Recording) -> Alignment | None:
     """The alignment of a method's map with the world; None: there is none.
 
-    Raises:
-        InputError: There should be one, since the truth of this drive and that of training are known.
+    Raises InputError if there should be one, since the truth of this drive and that of training are known.
     """
     wanted = has_truth(recording.folder) and has_truth(folder.parent / "recording")
     return read_alignment(folder) if wanted or has_alignment(folder) else None
@@ -178,17 +168,10 @@ def measure_ate(found: np.ndarray, true: np.ndarray) -> float:
 
 
 def measure_rpe(found: np.ndarray, true: np.ndarray, apart: int) -> tuple[float, float]:
-    """Relative pose error: RMS of the errors of all motions between poses (n, 3) that are so many images apart.
+    """Relative pose error of the way [m] and of the turn [rad], of poses x, y [m], yaw [rad] (n, 3), found and true.
 
-    A motion of which a yaw is NaN does not count; NaN if none is left.
-
-    Args:
-        found: Poses x, y [m], yaw [rad] (n, 3).
-        true: The true ones.
-        apart: Number of images from the first to the second pose of each motion; less than n.
-
-    Returns:
-        Of the way [m] and of the turn [rad].
+    It is the RMS of the errors of all motions between poses that are so many images apart. A motion of which a yaw is
+    NaN does not count; NaN if none is left.
     """
     (way, turn), (true_way, true_turn) = (_find_motions(pose, apart) for pose in (found, true))
     known = np.isfinite(turn)
@@ -208,13 +191,7 @@ APART = 10  # Images between the two poses of a relative error
 
 
 def measure_track(track: Track, alignment: Alignment, true: np.ndarray) -> dict[str, dict[str, float]]:
-    """Errors of each path at the observations; where it tells nothing, they are left out.
-
-    Args:
-        track: The tracked drive.
-        alignment: From the method's frame to the world's, fitted on training samples.
-        true: True poses of its images (M, 3): x, y [m], yaw [rad].
-    """
+    """Errors of each path at observations with true poses (M, 3); where it tells nothing, they are left out."""
     seen = track.observation != NO_IMAGE
     return {
         name: _measure(take_in_world(path, alignment)[seen], true[seen], path.accepted[seen])

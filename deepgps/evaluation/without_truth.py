@@ -39,13 +39,7 @@ FEWEST = 3  # Fewest images of a segment that can be off a straight line
 def judge(run: Path, scenario: Scenario, progress: Report = ignore) -> dict[str, Any]:
     """Judge all methods of a run on a recording without truth.
 
-    Args:
-        run: Run folder with a recording and the trained methods.
-        scenario: The scenario of the run.
-        progress: Called with the number of methods judged and their number.
-
-    Returns:
-        Contents of ``without_truth.json``: what was driven, and for each method what is known of it.
+    Returns the contents of ``without_truth.json``: what was driven, and for each method what is known of it.
     """
     recording = open_recording(run / "recording")
     held_out = open_drive_in_use(recording)
@@ -106,18 +100,12 @@ def _judge_method(
 
 
 def judge_segments(place: np.ndarray, recording: Recording, accepted: np.ndarray | None = None) -> dict[str, Any]:
-    """How well predicted positions agree with what the wheels say of a recording's segments.
+    """How well positions (N, 2) [m] agree with what the wheels say of a recording's segments.
 
-    Args:
-        place: Positions of the observations (N, 2) [m].
-        recording: Their recording.
-        accepted: Whether each observation is accepted (N,) bool; None: that is not known.
-
-    Returns:
-        ``length_rms_m`` and ``length_median_m``: differences of lengths from those by the wheels [m]; ``scale``: the
-        factor of all lengths that fits best; ``straight_rms_m``: distance of positions from the straight line that fits
-        those of their segment best [m]. None where there is too little. With ``accepted``, ``length_rms_accepted_m``
-        counts segments of which both ends are.
+    Returns ``length_rms_m`` and ``length_median_m``: differences of lengths from those by the wheels [m]; ``scale``:
+    the factor of all lengths that fits best; ``straight_rms_m``: distance of positions from the straight line that fits
+    those of their segment best [m]. None where there is too little. If it is known which observations are accepted (N,)
+    bool, ``length_rms_accepted_m`` counts segments of which both ends are.
     """
     reading = recording.reading
     way = travel(reading[:, 2:], recording.manifest.odometry).mean(axis=1)
@@ -151,8 +139,7 @@ def _measure_bend(places: np.ndarray) -> np.ndarray:
 def judge_turns(positioner: Positioner, drive: Recording) -> dict[str, Any]:
     """How well the yaws before and after turns in place agree with the compass, which compares both images alone.
 
-    Returns:
-        ``turns`` that were compared and ``turn_rms_deg``, the RMS difference; nothing where there is neither.
+    Returns ``turns`` that were compared and ``turn_rms_deg``, the RMS difference; nothing where there is neither.
     """
     turns = turns_with_images(drive)
     if turns is None or not len(rows := find_in_place(turns)):

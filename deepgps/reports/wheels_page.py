@@ -118,8 +118,7 @@ def _write(value: float, quantity: Quantity, unit: str | None = None) -> str:
 def describe_encoders(recording: Recording, pose: np.ndarray, drift: np.ndarray) -> str:
     """Describe the encoders' settings and their measured errors as Markdown.
 
-    True poses (N, 3) are at observations; ``drift`` is the distance of the dead-reckoned path from the true one (R,)
-    [m].
+    True poses (N, 3) are at observations; ``drift`` is how far the dead-reckoned path is off (R,) [m].
     """
     length, error = measure_segments(recording, pose)
     odometry = recording.manifest.odometry

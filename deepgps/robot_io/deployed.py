@@ -23,13 +23,7 @@ class FoundYaw(NamedTuple):
 
 
 class YawModule(nn.Module):
-    """Finds yaw as a table of headings does.
-
-    Args:
-        table: The table.
-        rings: Rings of the images.
-        sectors: Sectors of the images.
-    """
+    """Finds yaw as a table of headings does, in images of so many rings and sectors."""
 
     def __init__(self, table: headings.HeadingTable, rings: int, sectors: int) -> None:
         super().__init__()
@@ -172,11 +166,7 @@ def _divide(rows: torch.Tensor) -> torch.Tensor:
 
 
 class ConfidenceModule(nn.Module):
-    """Says how far to trust positions, as a table of confidence does.
-
-    Args:
-        table: The table.
-    """
+    """Says how far to trust positions, as a table of confidence does."""
 
     def __init__(self, table: confidence.Confidence) -> None:
         super().__init__()
@@ -210,12 +200,7 @@ class ConfidenceModule(nn.Module):
 
 
 class Deployed(nn.Module):
-    """Poses of polar images of an upright camera; what sets images upright comes before.
-
-    Args:
-        positioner: A trained network on polar images.
-        alignment: From its map's frame to that of the poses; None: the poses are in the map's frame.
-    """
+    """Poses of polar images of an upright camera, aligned or in the map's frame."""
 
     def __init__(self, positioner: NetworkPositioner, alignment: Alignment | None) -> None:
         super().__init__()

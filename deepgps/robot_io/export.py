@@ -45,16 +45,9 @@ def export_drives(
     mcap: bool,
     progress: Report,
 ) -> list[Path]:
-    """Write trajectories in these formats, and drives as MCAP files, into a folder; return its subfolders.
+    """Write trajectories in these formats, and drives as MCAP files if asked, into a folder; return its subfolders.
 
-    Args:
-        run: The run.
-        folder: The export's folder.
-        method: The only method; None: all.
-        frame: Frame of the poses; None: the world's where the map has a place in it.
-        formats: Formats of trajectories.
-        mcap: Whether to write MCAP files.
-        progress: Called with the trajectories, or messages, done and their number.
+    They are of one method, or of all, in a frame, or in the world's where the map has a place in it.
     """
     with _claim(run, folder):
         found = find_trajectories(run, method, frame, progress)  # once for all formats: every image is located
@@ -67,15 +60,10 @@ def export_drives(
 def export_onnx(
     run: Run, folder: Path, method: str | None, frame: Frame | None, raw: RoundImage | None, progress: Report
 ) -> list[Path]:
-    """Write a method as a model in ONNX into a folder; return its subfolder.
+    """Write a method, or the first, as a model in ONNX into a folder; return its subfolder.
 
-    Args:
-        run: The run.
-        folder: The export's folder.
-        method: The method; None: the first of the run.
-        frame: Frame of the poses; None: the world's where the map has a place in it.
-        raw: Where the image circle is in raw images; None: the model takes polar images alone.
-        progress: Called with the steps done and their number.
+    The frame is the world's, if none is given, where the map has a place in it. Without the image circle of raw images,
+    the model takes polar images alone.
     """
     name = run.choose(method)
     alignment = run.alignment(name, frame or run.choose_frame(name))
@@ -128,18 +116,10 @@ def write_onnx(
     alignment: Alignment | None,
     raw: RoundImage | None,
 ) -> None:
-    """Write the folder of a method.
+    """Write the folder of a method; the alignment is from its map to the frame of the poses.
 
-    Args:
-        folder: Where to.
-        method: Name of the method.
-        positioner: What it has learned.
-        alignment: From its map to the frame of the poses; None: the map's own.
-        raw: Where the image circle is in raw images; None: the folder takes polar images alone.
-
-    Raises:
-        InputError: The method is no network on polar images, or a package is missing.
-        WorkError: The folder would have more than 20 MB.
+    Without ``raw``, the folder takes polar images alone. Raises InputError if the method is no network on polar images
+    or a package is missing, WorkError if the folder would have more than 20 MB.
     """
     if not isinstance(positioner, NetworkPositioner) or len(positioner.shape) != 3:
         raise InputError(f"--onnx: method {method} is no network on polar images, and only these are written as ONNX")

@@ -52,18 +52,10 @@ class Wish:
 def locate(
     run: Run, pictures: Iterable[Picture], unwrap: Unwrap, wish: Wish, step: Step | None, watch: Watch | None
 ) -> Iterator[Located]:
-    """Find the pose of each image when it comes.
+    """Find the pose of each image when it comes, by a run whose methods have learned from polar images.
 
-    Args:
-        run: A run whose methods have learned from polar images.
-        pictures: The images.
-        unwrap: Makes polar images; raises InputError where it cannot.
-        wish: How they are located.
-        step: Tracks the robot; None: each pose is of one image alone.
-        watch: Names causes; None: nobody asks for them.
-
-    Raises:
-        InputError: The map has no place in the world.
+    A wish says how they are located; ``step`` tracks the robot and ``watch`` names causes, if asked for. Raises
+    InputError if the map has no place in the world; where ``unwrap`` raises it, the image is located nowhere.
     """
     alignment, positioner = run.alignment(wish.method, wish.frame), run.positioner(wish.method)
 
@@ -119,20 +111,9 @@ def _round(value: Any) -> float | None:
 
 @contextmanager
 def locate_source(run: Run, source: str, stdin: BinaryIO, wish: Wish, progress: Report) -> Iterator[Iterator[Located]]:
-    """Locate the images of a source.
+    """Locate the images of an image file, a folder, ``-`` or, with ``config``, a log, each when it is asked for.
 
-    Args:
-        run: The run.
-        source: An image, a folder, ``-``, or, with ``config``, a log.
-        stdin: Standard input.
-        wish: How.
-        progress: Called with what is done before the first image.
-
-    Yields:
-        The images with their poses, each when it is asked for.
-
-    Raises:
-        InputError: The run, the source or the options cannot be used.
+    Raises InputError if the run, the source or the options cannot be used.
     """
     shape = find_shape(run)
     with use_threads(run.scenario.learn.train.threads):
@@ -187,13 +168,7 @@ class Tracker:
         self._travelled_m, self._yaw = np.nan, np.nan  # at the last image, by odometry
 
     def step(self, pose: Poses, travelled_m: float, yaw: float) -> Poses:
-        """The tracked pose at an image, in the method's frame.
-
-        Args:
-            pose: Pose of the image alone, without the axis B.
-            travelled_m: Distance driven by the wheels [m]; NaN: unknown.
-            yaw: Heading by the wheels [rad].
-        """
+        """The tracked pose at an image, by its own pose, and distance [m] and heading [rad] by the wheels; NaN: unknown."""
         motion = self._find_motion(travelled_m, yaw)
         self._travelled_m, self._yaw = travelled_m, yaw
         self._state = advance(self._state, motion, take_fix(pose))

@@ -32,12 +32,7 @@ STDIN = "-"  # Name of standard input as a source
 
 
 class Unwrapper:
-    """Makes polar images.
-
-    Args:
-        shape: Rings, sectors and colours of a polar image.
-        circle: Where the image circle is in raw images; None: it fills them, and they must be square.
-    """
+    """Makes polar images of this shape from raw ones, which an image circle of unknown place must fill."""
 
     def __init__(self, shape: tuple[int, ...], circle: RoundImage | None = None) -> None:
         self.shape, self.circle = shape, circle
@@ -45,8 +40,7 @@ class Unwrapper:
     def __call__(self, image: np.ndarray) -> np.ndarray:
         """The polar image (rings, sectors, 3) of a polar or a raw image (height, width, 3) uint8 RGB.
 
-        Raises:
-            InputError: The circle is not known, or not in the image.
+        Raises InputError if the circle is not known, or not in the image.
         """
         if image.shape == self.shape:
             return image
@@ -82,15 +76,10 @@ class Picture(NamedTuple):
 
 
 def open_pictures(source: str, stdin: BinaryIO) -> Iterator[Picture]:
-    """The images of a source, each when it is asked for.
+    """The images of an image file, a folder, in the order of names, or ``-``, each when it is asked for.
 
-    Args:
-        source: An image file, a folder of images, which are read in the order of their names, or ``-``.
-        stdin: Standard input: for each image four bytes with the length of what follows, the most significant first,
-            and that many bytes of JPEG or another format.
-
-    Raises:
-        InputError: There is no such file, or the folder holds no image.
+    Standard input holds for each image four bytes with the length of what follows, the most significant first, and that
+    many bytes of JPEG or another format. Raises InputError if there is no such file, or the folder holds no image.
     """
     if source == STDIN:
         return read_stream(stdin)
@@ -177,17 +166,10 @@ class LogSource:
 def open_source(
     path: Path, config: Path, field_of_view_deg: float | None, with_odometry: bool, progress: Report
 ) -> Iterator[LogSource]:
-    """Open a log for reading.
+    """Open a log for reading, with the ``robot.yaml`` with which it would be imported and, if asked, its wheels.
 
-    Args:
-        path: The log.
-        config: The ``robot.yaml`` with which it would be imported.
-        field_of_view_deg: Full angle of the polar images, where the configuration does not set it; None: unknown.
-        with_odometry: Whether its wheels are read, too.
-        progress: Called with what is done before the first image.
-
-    Raises:
-        InputError: The log or its configuration cannot be used; one line says why.
+    The full angle is that of the polar images, where the configuration does not set it; None: unknown. Raises
+    InputError if the log or its configuration cannot be used.
     """
     robot = load_config(config)
     with open_log(path) as log:
@@ -225,13 +207,7 @@ def _follow(robot: RobotConfig, drive: LoggedDrive, polar: PolarSource, progress
 
 
 def check_images(polar: PolarSource, shape: tuple[int, ...], field_of_view_deg: float | None) -> None:
-    """Raise InputError if a log's polar images are not like those that a run has learned from.
-
-    Args:
-        polar: The log's images.
-        shape: Rings, sectors and colours of the run's.
-        field_of_view_deg: Their full angle; None: unknown.
-    """
+    """Raise InputError if a log's polar images have another shape or full angle than those of a run."""
     made = (polar.unwrap.rings, polar.unwrap.sectors, 3)
     if made != shape:
         raise InputError(f"camera.rings and camera.sectors {made[:2]}: the run has learned from {shape[:2]}")

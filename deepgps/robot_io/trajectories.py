@@ -82,17 +82,10 @@ def open_drives(run: Run) -> dict[str, Recording]:
 
 
 def find_trajectories(run: Run, method: str | None, frame: Frame | None, progress: Report) -> list[Trajectory]:
-    """The true trajectory and the methods' along the training drive and the drive in use.
+    """The true trajectory and those of a method, or of all, along the training drive and the drive in use.
 
-    Args:
-        run: The run.
-        method: The only method; None: all.
-        frame: Frame of the methods' poses; None: the world's where evaluation has placed the map. The truth is in the
-            world's.
-        progress: Called with the trajectories done and their number.
-
-    Raises:
-        InputError: There is no such method, the recording has no times, or a map has no place in the world.
+    Without a frame, the methods' is the world's where evaluation has placed the map; the truth is in the world's. Raises
+    InputError if there is no such method, the recording has no times, or a map has no place in the world.
     """
     methods, drives = run.methods if method is None else (run.choose(method),), open_drives(run)
     total = len(drives) * len(methods) + sum(has_truth(one.folder) for one in drives.values())

@@ -63,12 +63,8 @@ def make_recording(
 ) -> None:
     """Drive and record: write the recording ``folder``, or what is missing of it.
 
-    Args:
-        scenario: The scenario.
-        folder: The recording's folder.
-        progress: Called with the progress of driving and rendering.
-        base: A recording with the same training drive, which is shared unless it is damaged; None: there is none.
-        renderers: Processes that draw a room's images; None: as many as pay on all cores.
+    A base is a recording with the same training drive, which is shared unless it is damaged. Without a number of
+    renderers, as many processes draw a room's images as pay on all cores.
     """
     if base is not None:
         try:

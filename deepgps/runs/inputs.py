@@ -25,15 +25,7 @@ def list_own_files(scenario: Scenario) -> dict[str, str]:
 def read_room(path: str, field: str = "room.mjcf") -> bytes | None:
     """What tells a room or a robot from others: the bytes of its file, and the checksums of all files that it uses.
 
-    Args:
-        path: Its file.
-        field: The setting that names it, for messages.
-
-    Returns:
-        None if there is no file.
-
-    Raises:
-        InputError: A file cannot be read, or is none that a room can use.
+    Returns None if there is no file; raises InputError if one cannot be read or used, with the setting that names it.
     """
     if not isfile(Path(path)):
         return None
@@ -44,9 +36,7 @@ def read_room(path: str, field: str = "room.mjcf") -> bytes | None:
 def digest(scenario: Scenario, read: Callable[[str, str], bytes | None] = read_room) -> str:
     """Eight hexadecimal digits of the resolved scenario, the format and the files of an own room or robot.
 
-    Args:
-        scenario: The scenario.
-        read: What ``read_room`` returns; a caller that hashes many scenarios of one room can cache it.
+    A caller that hashes many scenarios of one room can cache what ``read_room`` returns.
     """
     return _hash(scenario.model_dump_json(), scenario, read)
 

@@ -55,15 +55,9 @@ def choose_place(folder: Path, kind: Kind, fresh: bool) -> Path:
 def hold(folder: Path, kind: Kind, named: str = "--out") -> Iterator[None]:
     """Lock an owned folder, or one that becomes owned, against other processes; a dead process holds no lock.
 
-    An interrupted replacement is finished first. A folder that holds nothing at the end is left as it was found.
-
-    Args:
-        folder: The folder.
-        kind: Its kind.
-        named: What messages write before its path: the option that gave it, or what it is.
-
-    Raises:
-        InputError: The folder holds something that is not deepgps's, cannot be written, or is in use.
+    An interrupted replacement is finished first. A folder that holds nothing at the end is left as it was found. Raises
+    InputError if the folder holds something that is not deepgps's, cannot be written, or is in use; what messages write
+    before its path is the option that gave it, or what it is.
     """
     check_owner(folder, kind, named)
     created = [path for path in (folder, *folder.parents) if not path.exists()]
@@ -117,8 +111,7 @@ def check_owner(folder: Path, kind: Kind, named: str) -> None:
 def replace(folder: Path, kind: Kind) -> None:
     """Replace the folder's files by those that ``--fresh`` has built; if interrupted, this is finished later.
 
-    Raises:
-        InputError: A file of somebody else's is in a folder that a file or link must replace.
+    Raises InputError if a file of somebody else's is in a folder that a file or link must replace.
     """
     fresh = folder / FRESH
     built = [path.relative_to(fresh).as_posix() for path in list_files(fresh, kind.files)]

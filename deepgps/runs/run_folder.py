@@ -115,19 +115,10 @@ def find_place(folder: Path, fresh: bool) -> Path:
 
 @contextmanager
 def claim(scenario: Scenario, folder: Path, fresh: bool) -> Iterator[Path]:
-    """Lock a run folder for one process and one scenario.
+    """Lock a run folder for one process and one scenario, and yield the folder to work in.
 
-    Args:
-        scenario: What is run.
-        folder: The run folder.
-        fresh: Whether to replace an existing run, which stays intact until the new one is complete.
-
-    Yields:
-        The folder to work in.
-
-    Raises:
-        InputError: The folder does not belong to deepgps, is in use, or holds another run; or a plugin that the
-            scenario needs is not loaded.
+    With ``fresh``, an existing run stays intact until the new one is complete. Raises InputError if the folder does not
+    belong to deepgps, is in use, or holds another run, or a plugin that the scenario needs is not loaded.
     """
     check_plugins(scenario)
     cut_off = (folder / FRESH / COMPLETE).is_file()

@@ -20,11 +20,7 @@ UNITS = ((86400, "d"), (3600, "h"), (60, "min"), (1, "s"))
 
 
 def tabulate_runs(folder: Path) -> str:
-    """The runs in a folder, oldest first, as a plain table with aligned columns.
-
-    Raises:
-        InputError: The folder does not exist, or holds no run.
-    """
+    """The runs in a folder, oldest first, as a plain table; raises InputError if it does not exist, or holds no run."""
     runs = [folder] if (folder / RUN.first).is_file() else list_runs(folder)
     if not runs:
         raise InputError(f"{folder} holds no runs" if folder.is_dir() else describe_no_run(folder))

@@ -28,9 +28,7 @@ log = logging.getLogger(__name__)
 def find_base(scenario: Scenario, run: Path) -> Path | None:
     """Find a stored recording from which that of a run can be derived; a damaged one is removed.
 
-    Args:
-        scenario: The scenario of the run.
-        run: The run's folder; one elsewhere than in ``runs/<scenario>`` shares nothing, nor does one of ``--fresh``.
+    A run elsewhere than in ``runs/<scenario>`` shares nothing, nor does one of ``--fresh``.
     """
     return _find(scenario, run, lambda base: not explain_misfit(base, scenario.sim, scenario.seed))
 

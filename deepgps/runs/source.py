@@ -37,17 +37,10 @@ class Source:
 def find_source(
     name: str, overrides: Mapping[str, Any], out: Path | None, fresh: bool = False, spell: Spell = as_option
 ) -> Source:
-    """Find the scenario, the run or the recording of this name.
+    """Find the scenario, the run or the recording of a name in assets/scenarios, a YAML file's path, or a folder.
 
-    Args:
-        name: A name in assets/scenarios, the path of a YAML file, or the folder of a run or of a recording.
-        overrides: Values by dotted name.
-        out: The run's folder; None: the default of what is found.
-        fresh: Whether the run is made again, so that what is in its folder does not matter.
-        spell: How messages write the names of overrides.
-
-    Raises:
-        InputError: There is nothing of that name, or a setting is wrong.
+    Without ``out``, the run's folder is the default of what is found; with ``fresh``, what is in it does not matter.
+    ``spell`` is how messages write overrides' names. Raises InputError if nothing has the name, or a setting is wrong.
     """
     if name not in names_in(SCENARIOS) and Path(name).is_dir():
         return _find_folder(Path(name), overrides, out, fresh, spell)
@@ -82,12 +75,7 @@ def refuse_settings_of_drive(
 ) -> None:
     """Raise InputError if overrides change what the recording was made with.
 
-    Args:
-        scenario: The scenario with the overrides.
-        held: The scenario without them, or that of the run that holds the recording.
-        recording: The recording's folder.
-        overrides: Values by dotted name.
-        spell: How the message writes their names.
+    ``scenario`` has the overrides, ``held`` has not, or is that of the run that holds the recording.
     """
     if (scenario.sim, scenario.seed) != (held.sim, held.seed):
         made = [name for name in overrides if name.partition(".")[0] not in {"learn", "methods", "name"}]
@@ -111,14 +99,9 @@ def _describe_strange(folder: Path) -> str:
 
 
 def describe_recording(recording: Path, overrides: Mapping[str, Any]) -> Scenario:
-    """The scenario of a training on a recording, by what its manifest knows of the world and the sensors.
+    """The scenario of a training on a recording, by overrides and what its manifest knows of the world and the sensors.
 
-    Args:
-        recording: The recording's folder.
-        overrides: Values by dotted name, such as ``{"methods": ["deepgps"]}``.
-
-    Raises:
-        InputError: It is no finished recording, or a setting is wrong.
+    Raises InputError if it is no finished recording, or a setting is wrong.
     """
     manifest = read_manifest(recording)
     seed = {} if manifest.seed is None else {"seed": manifest.seed}
@@ -148,8 +131,7 @@ def link_recording(recording: Path, run: Path) -> None:
 def find_adopted(run: Path) -> Path | None:
     """The recording elsewhere that a run's folder links to; None: it has its own, or none yet.
 
-    Raises:
-        InputError: It is no longer where the link says, or another one is.
+    Raises InputError if it is no longer where the link says, or another one is.
     """
     link = run / "recording"
     if not link.is_symlink():

@@ -40,8 +40,7 @@ class Plan:
 
 
 def gather(plans: Sequence[Plan], failures: Mapping[str, str], folder: Path) -> list[Row]:
-    """Rows of all runs of a study in order, including failed runs, with the reasons by the hash of the run; each row
-    has every column."""
+    """Rows of all runs of a study in order, including runs that failed, by their hash; each row has every column."""
     names = dict.fromkeys(name for plan in plans for name in plan.varied)
     # settings that only some cases set come first, axes last
     varied = sorted(names, key=lambda name: all(name in plan.varied for plan in plans))

@@ -52,13 +52,9 @@ class _Node(NamedTuple):
 
 
 def read_drive(recording: Recording, curvature: float = 0.0) -> Drive:
-    """The images of a recording, and the motions between them.
+    """The images of a recording, and the motions between them along straights with a curvature to the left [1 / m].
 
     Observations to which no reading belongs are left out, and segments of a single reading.
-
-    Args:
-        recording: The recording.
-        curvature: Of what the robot drives for straight, to the left [1 / m].
     """
     turns = measure_turns(recording) if turns_with_images(recording) else measure_wheel_turns(recording)
     nodes = _list_nodes(recording, turns, curvature)
@@ -69,8 +65,7 @@ def read_drive(recording: Recording, curvature: float = 0.0) -> Drive:
 def mend_wheels(recording: Recording) -> tuple[Recording, float]:
     """Take the noise and the track width that a recording's own readings and images show, and mend a stuck wheel.
 
-    Returns:
-        The recording, and the curvature of what the robot drives for straight, to the left, where it shows [1 / m].
+    Also returns the curvature of what the robot drives for straight, to the left, where it shows [1 / m].
     """
     if not can_diagnose(recording):
         return recording, 0.0
@@ -176,12 +171,9 @@ def _add_turn(
 
 
 def drive_straight(wheels_m: np.ndarray, variance: float, curvature: float = 0.0) -> Motion:
-    """The motion along a straight way, or an arc.
+    """The motion along a straight way, or an arc to the left [1 / m], by the ways of both wheels (2,) [m].
 
-    Args:
-        wheels_m: Ways of the left and the right wheel (2,) [m]; where they differ, one of them is wrong.
-        variance: Expected squared error of their mean [m^2].
-        curvature: To the left [1 / m].
+    Where these differ, one of them is wrong; the variance is that expected of their mean [m^2].
     """
     way_m, apart_m = float(wheels_m.mean()), float(np.diff(wheels_m)[0])
     bent, long = curvature * way_m, abs(way_m)

@@ -64,13 +64,7 @@ def begin() -> State:
 
 
 def advance(state: State, motion: Motion | None, fix: Fix | None) -> State:
-    """The state after a motion and an image.
-
-    Args:
-        state: The state before.
-        motion: How the robot moved since; None: nothing is known of it, as before the first image.
-        fix: What the image says; None: there is none.
-    """
+    """The state after a motion, None if nothing is known of it, as before the first image, and an image, if any."""
     return see(predict(state, motion), fix)
 
 
@@ -187,12 +181,7 @@ PRIOR = np.diag([0.0, 0.0, 0.0, SCALE_STD**-2])
 
 
 def run_forward(motions: Sequence[Motion | None], fixes: Sequence[Fix | None]) -> list[State]:
-    """The state after each of M images.
-
-    Args:
-        motions: Motion to each image from the one before (M,); None: nothing is known of it. The first is not used.
-        fixes: What each image says (M,); None: nothing.
-    """
+    """The state after each of M images, by the motions to each from the one before, the first of which is not used."""
     return [after for _, after in _run(motions[1:], fixes)]
 
 

@@ -43,17 +43,10 @@ def make_motion(
     step_std_m: float = 0.0,
     turn_std_rad: float = 0.0,
 ) -> Motion:
-    """A motion whose errors along both axes and of the turn are independent.
+    """A motion ahead and to the left [m] with a turn to the left [rad], in the frame of the robot before.
 
-    Args:
-        forward_m: Way ahead, in the frame of the robot before [m].
-        left_m: Way to the left [m].
-        turn_rad: Turn to the left [rad].
-        step_std_m: Standard deviation of the way along each axis [m].
-        turn_std_rad: Standard deviation of the turn [rad].
-
-    Raises:
-        InputError: A number is not finite, or a standard deviation is negative.
+    Its errors along both axes and of the turn are independent, with these standard deviations [m], [rad]. Raises
+    InputError if a number is not finite, or a standard deviation is negative.
     """
     numbers = {"forward_m": forward_m, "left_m": left_m, "turn_rad": turn_rad}
     for name, value in numbers.items() | {"step_std_m": step_std_m, "turn_std_rad": turn_std_rad}.items():

@@ -27,12 +27,9 @@ HEAD = "# deepgps: time_s x_m y_m z_m qx qy qz qw"
 
 
 def write_tum(path: Path, time: np.ndarray, pose: np.ndarray) -> None:
-    """Write a path; rows without a time or a position are left out.
+    """Write a path at times (n,) [s]; rows without a time or a position are left out.
 
-    Args:
-        path: The file to write.
-        time: Times (n,) [s].
-        pose: Poses x, y [m], yaw [rad] (n, 3), or positions (n, 2), written with a yaw of zero; as is a yaw of NaN.
+    Poses x, y [m], yaw [rad] (n, 3); positions (n, 2) and a yaw of NaN are written with a yaw of zero.
     """
     place = np.asarray(pose, float)
     yaw = np.nan_to_num(place[:, 2]) if place.shape[1] > 2 else np.zeros(len(place))
@@ -82,15 +79,9 @@ class Track:
 
 
 def track_drive(positioner: Positioner, recording: Recording, progress: Report) -> Track:
-    """Track the robot through a recording.
+    """Track the robot through a recording by a method as it is in use.
 
-    Args:
-        positioner: The trained method, as it is in use.
-        recording: What the robot sensed.
-        progress: Called with the steps done.
-
-    Raises:
-        InputError: No segment has two readings, or no wheel turned.
+    Raises InputError if no segment has two readings, or no wheel turned.
     """
     progress("track", 0, 4)
     segments = read_segments(recording)

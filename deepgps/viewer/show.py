@@ -94,8 +94,7 @@ def is_screenshot(data: bytes) -> bool:
 def find_shown(paths: Sequence[Path]) -> Path:
     """The recording that shows one run, one study, or two runs together; it is written if it is missing.
 
-    Raises InputError if a folder is neither a run nor a finished study, its recording is truncated, or two runs cannot
-    be compared.
+    Raises InputError if a folder is no run and no finished study, its recording is truncated, or two do not compare.
     """
     if len(paths) != 1:
         return write_pair(paths)
