@@ -121,7 +121,7 @@ Spell = Callable[[str], str]  # Writes the dotted name of a setting as the user 
 def load_scenario(source: str, overrides: Mapping[str, Any], spell: Spell = as_key) -> Scenario:
     """Read a scenario, in assets/scenarios or at a path, and apply overrides by dotted name: ``{"room.seed": "3"}``.
 
-    ``spell`` is how messages write their names. Raises InputError, which names the field, the value and what is allowed.
+    ``spell`` is how messages write their names. Raises InputError, which names the field, the value and what may be.
     """
     path = find_settings("scenario", SCENARIOS, source)
     return override_scenario(read_yaml(path), path, overrides, spell)

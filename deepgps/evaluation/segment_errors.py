@@ -75,7 +75,7 @@ def reckon_path(recording: Recording, pose: np.ndarray) -> np.ndarray:
 
 
 def measure_distances(recording: Recording, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Distance (R,) [m] since the start of the segment at each reading, by encoder and true, and their summed difference.
+    """Distance (R,) [m] since the segment began at each reading, by encoder and true, and their summed difference.
 
     True poses (N, 3) are at the observations.
     """

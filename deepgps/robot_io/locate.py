@@ -168,7 +168,7 @@ class Tracker:
         self._travelled_m, self._yaw = np.nan, np.nan  # at the last image, by odometry
 
     def step(self, pose: Poses, travelled_m: float, yaw: float) -> Poses:
-        """The tracked pose at an image, by its own pose, and distance [m] and heading [rad] by the wheels; NaN: unknown."""
+        """The tracked pose at an image, by its own pose and the distance [m] and heading [rad] by the wheels or NaN."""
         motion = self._find_motion(travelled_m, yaw)
         self._travelled_m, self._yaw = travelled_m, yaw
         self._state = advance(self._state, motion, take_fix(pose))

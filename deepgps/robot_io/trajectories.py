@@ -84,8 +84,8 @@ def open_drives(run: Run) -> dict[str, Recording]:
 def find_trajectories(run: Run, method: str | None, frame: Frame | None, progress: Report) -> list[Trajectory]:
     """The true trajectory and those of a method, or of all, along the training drive and the drive in use.
 
-    Without a frame, the methods' is the world's where evaluation has placed the map; the truth is in the world's. Raises
-    InputError if there is no such method, the recording has no times, or a map has no place in the world.
+    Without a frame, the methods' is the world's where evaluation has placed the map; the truth is in the world's.
+    Raises InputError if there is no such method, the recording has no times, or a map has no place in the world.
     """
     methods, drives = run.methods if method is None else (run.choose(method),), open_drives(run)
     total = len(drives) * len(methods) + sum(has_truth(one.folder) for one in drives.values())

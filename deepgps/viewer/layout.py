@@ -161,7 +161,7 @@ def series_view(
 def aim_eye(space: FreeSpace | None, tilt: float = 0.0, reach: float = 1.0, before: float = 0.25) -> rrb.EyeControls3D:
     """Place the eye above a room, or above one of usual size, with space for the scale in front of it.
 
-    The eye is tilted to the south [rad], ``reach`` times as far away as the plan needs, and looks south of its middle [m].
+    It is tilted to the south [rad], ``reach`` times as far away as the plan needs, and looks south of the middle [m].
     """
     if space is None:
         return look((0.0, -3.0, 6.4), (0.0, -0.3, 0.0))
