@@ -57,9 +57,9 @@ def check_all(runs: Path = Path("runs")) -> list[Check]:
 
 def check_python(found: tuple[int, int] = sys.version_info[:2]) -> Check:
     """Check that all packages have a wheel for this Python."""
-    ok = (3, 11) <= found < (3, 14)
+    ok = (3, 11) <= found < (3, 15)
     text = f"{platform.python_version()} at {sys.executable}"
-    return Check("python", ok, text, "" if ok else "make setup PYTHON=python3.11 (or 3.12, 3.13)")
+    return Check("python", ok, text, "" if ok else "make setup PYTHON=python3.11 (or 3.12, 3.13, 3.14)")
 
 
 def check_packages(distribution: str = "deepgps") -> list[Check]:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-pytest.importorskip("dm_control", reason="dm-control has no wheels for Python 3.13")
+pytest.importorskip("dm_control", reason="dm-control has no wheels for Python 3.13 and 3.14")
 
 from dm_env import StepType, test_utils
 
