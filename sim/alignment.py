@@ -56,14 +56,9 @@ def fit_alignment(
 
 
 def fit_robust_alignment(source: np.ndarray, target: np.ndarray, kind: AlignmentKind) -> Alignment:
-    """Rigid transform to which positions that are far off contribute little (Cauchy weights, IRLS).
+    """Rigid transform as ``fit_alignment``, to which positions far off contribute little (Cauchy weights, IRLS).
 
     In a world that repeats, some images are placed metres off. Least squares would move all others by centimetres.
-
-    Args:
-        source: Positions in the method's frame (N, 2) [m].
-        target: The same positions in the world's frame (N, 2) [m].
-        kind: As for ``fit_alignment``.
     """
     alignment = fit_alignment(source, target, kind)
     for _ in range(ROUNDS):

@@ -44,15 +44,10 @@ def shorten(text: str, most: int = 80) -> str:
 
 
 def read_file(path: Path, largest: int, what: str) -> bytes:
-    """Read a regular file without waiting for a pipe or reading a device.
+    """Read a regular file without waiting for a pipe or reading a device; messages name it ``what``.
 
-    Args:
-        path: The file.
-        largest: Largest allowed size in bytes.
-        what: Name of the file in messages.
-
-    Raises:
-        InputError: The path does not exist, is a folder, a pipe or a device, or the file is too large or unreadable.
+    Raises InputError if the path is missing, a folder, a pipe or a device, or the file is too large [bytes] or
+    unreadable.
     """
     try:
         handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # otherwise opening a pipe blocks

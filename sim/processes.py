@@ -60,10 +60,9 @@ def end_with_parent() -> None:
 
 
 def end_with(parent: int) -> None:
-    """Let Linux kill this process when the thread that started it ends, even if this process is stopped then.
+    """Let Linux kill this process when the thread of its parent that started it ends, even if it is stopped then.
 
-    Args:
-        parent: PID of the process that started this one; if that one has already ended, this one exits.
+    If the parent has already ended, this process exits.
     """
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
@@ -72,14 +71,10 @@ def end_with(parent: int) -> None:
 
 
 def start_process(code: str, words: Sequence[str], handles: Sequence[int]) -> subprocess.Popen[bytes]:
-    """Run a line of Python code in a process that ends with this one and ignores the terminal's signals.
+    """Run a line of Python code, with words and file descriptors, in a process that ends with this one.
 
-    A multiprocessing process first imports the main module, and until then it may outlive its parent.
-
-    Args:
-        code: The code to run.
-        words: Values of ``sys.argv[1:]``.
-        handles: File descriptors that it inherits.
+    It ignores the terminal's signals. A process of multiprocessing imports the main module first, and may outlive us
+    then.
     """
     first = (
         "import sys; n = int(sys.argv.pop(1)); sys.path[:] = sys.argv[1:1 + n]; del sys.argv[1:1 + n]; "

@@ -8,11 +8,8 @@ import numpy as np
 def stream(seed: int, *name: str | int) -> np.random.Generator:
     """Generator for one purpose; drawing from it never shifts another stream, and a new name changes none.
 
-    A room draws from its own ``room.seed`` instead, so that the same room can be driven with many seeds.
-
-    Args:
-        seed: Seed of the scenario.
-        name: Words, or a word and a number, that no other purpose uses: ``("camera", "noise")``.
+    A room draws from its own ``room.seed`` instead, so that the same room can be driven with many seeds. The name is
+    words, or a word and a number, that no other purpose uses: ``("camera", "noise")``.
     """
     return np.random.default_rng(_key(np.random.SeedSequence(seed), name))
 

@@ -42,12 +42,7 @@ class TagMap(NamedTuple):
 def reconstruct(detections: Detections, camera: np.ndarray) -> TagMap:
     """Place the largest set of tags that are connected through views that see two of them.
 
-    Args:
-        detections: Tags found in images of a camera without distortion.
-        camera: Intrinsic matrix of the camera (3, 3) [px].
-
-    Raises:
-        WorkError: No two tags are seen together often enough.
+    The camera has no distortion. Raises WorkError if no two tags are seen together often enough.
     """
     detections = _large(detections)
     rough = TagMap(*chain_tags(detections, camera))
@@ -61,11 +56,7 @@ def reconstruct(detections: Detections, camera: np.ndarray) -> TagMap:
 def solve_views(
     detections: Detections, tags: TagMap, camera: np.ndarray, wrong_px: float = WRONG_PX
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Solve each view's pose from all placed tags in it, leaving out those that do not fit.
-
-    Returns:
-        Views that could be solved (V,) and ``T_map_camera`` of each (V, 4, 4).
-    """
+    """Views (V,) that could be solved, and each one's pose ``T_map_camera`` (V, 4, 4), by all placed tags that fit."""
     detections = _large(detections)
     detections = detections.of(np.isin(detections.tag, tags.tag))
     corners = place_corners(tags.pose)[np.searchsorted(tags.tag, detections.tag)]
@@ -200,19 +191,9 @@ def write_labels(
 ) -> dict[str, int]:
     """Reconstruct the tags from the training views, solve all views, and write the folder ``labels``.
 
-    Args:
-        folder: The recording's folder.
-        detections: Tags found in the training images.
-        test: Tags found in the test images, numbered in order.
-        shape: Number of training images, then the leading shape of the test images: (N, C, H).
-        camera: Intrinsic matrix (3, 3) [px].
-        mount: Pose of the camera on the robot (4, 4).
-
-    Returns:
-        Entries for the manifest: tags placed, images without a label.
-
-    Raises:
-        WorkError: The tags cannot be reconstructed, or no image can be solved.
+    Tags found in test images are numbered in order; the shape is the number of training images, then that of the test
+    images: (N, C, H). Returns entries for the manifest: tags placed, images without a label. Raises WorkError if the
+    tags cannot be reconstructed, or no image can be solved.
     """
     tags = reconstruct(detections, camera)
     (view, pose), (test_view, test_pose) = (solve_views(seen, tags, camera) for seen in (detections, test))

@@ -34,17 +34,11 @@ class Steps(NamedTuple):
 
 
 def chain_tags(detections: Detections, camera: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Place the largest set of tags that are connected through views that see two of them.
+    """Place the largest set of tags that are connected through views that see two of them, by a camera without
+    distortion.
 
-    Args:
-        detections: Tags found in images of a camera without distortion.
-        camera: Intrinsic matrix of the camera (3, 3) [px].
-
-    Returns:
-        Tag numbers (T,), ascending, and their poses ``T_first_tag`` (T, 4, 4).
-
-    Raises:
-        WorkError: No two tags are seen together often enough.
+    Returns tag numbers (T,), ascending, and their poses ``T_first_tag`` (T, 4, 4). Raises WorkError if no two tags are
+    seen together often enough.
     """
     numbers, tag = np.unique(detections.tag, return_inverse=True)
     steps = _measure_steps(detections, tag, camera)

@@ -25,13 +25,8 @@ PROBE = 1 << 20
 def write_atomic(path: Path, write: Callable[[Path], object], size: int = 0) -> None:
     """Let ``write`` make a file next to ``path``, sync it to disk and rename it to ``path``.
 
-    Args:
-        path: The file.
-        write: Writes to the path that it is given.
-        size: Number of bytes that it will write, if known.
-
-    Raises:
-        WorkError: The disk is full (the message states the space needed and free), or writing fails.
+    Raises WorkError if writing fails or the disk is full; the message states the space needed, if it is known, and
+    free.
     """
     part = path.with_name(f"{path.name}.{os.getpid()}{PART}")  # an orphan of a killed run may still write its file
     try:
@@ -100,13 +95,7 @@ def link_file(source: Path, target: Path) -> None:
 
 
 def check_overwrite(path: Path, is_ours: Callable[[bytes], bool], head: int = -1) -> None:
-    """Raise InputError if writing a file would overwrite one that deepgps did not write.
-
-    Args:
-        path: The file.
-        is_ours: Whether deepgps wrote a file with these contents.
-        head: Number of its first bytes that are enough to tell; -1: all are needed.
-    """
+    """Raise InputError if a file is there whose first ``head`` bytes (-1: all) do not tell that deepgps wrote it."""
     if path.is_symlink() or (path.exists() and not (path.is_file() and is_ours(_read_head(path, head)))):
         raise InputError(f"{path} exists, and deepgps did not write it: choose another name, or move it away")
 
@@ -142,8 +131,7 @@ def _sync_folder(folder: Path) -> None:
 def lock(handle: int, path: Path) -> bool:
     """Lock an open file or folder against other processes; a dead process holds no lock.
 
-    Returns:
-        False if another process holds it, or the one that held it has just removed ``path``.
+    Returns False if another process holds it, or the one that held it has just removed ``path``.
     """
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -40,11 +40,7 @@ def sha256(path: Path) -> str:
 
 
 def check_sha256(path: Path, expected: str) -> None:
-    """Compare a file with its checksum, once per process as long as the file does not change.
-
-    Raises:
-        DamagedError: The file is missing or differs.
-    """
+    """Compare a file with its checksum, once per process as long as the file does not change; raises DamagedError."""
     try:
         now = path.stat()
     except FileNotFoundError:
@@ -61,9 +57,7 @@ def write_lines(path: Path, text: str) -> None:
 def check_lines(path: Path) -> None:
     """Compare a text file with the checksum in its first line.
 
-    Raises:
-        InputError: It is of another format.
-        DamagedError: It differs from its checksum.
+    Raises DamagedError if it differs, InputError if it is of another format.
     """
     head, _, text = path.read_bytes().partition(b"\n")
     if head.startswith(b"# sha256") or not head.startswith(b"#"):
@@ -119,11 +113,7 @@ def write_json(path: Path, value: Mapping[str, Any]) -> None:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """Read a JSON file that ``write_json`` made.
-
-    Raises:
-        DamagedError: The file is missing, truncated or changed.
-    """
+    """Read a JSON file that ``write_json`` made; raises DamagedError if it is missing, truncated or changed."""
     try:
         value = json.loads(path.read_bytes())
     except FileNotFoundError:
@@ -153,15 +143,9 @@ def write_array(path: Path, array: np.ndarray) -> None:
 
 
 def write_blocks(path: Path, shape: tuple[int, ...], dtype: np.dtype, blocks: Iterable[np.ndarray]) -> None:
-    """Write one ``.npy`` file atomically, block by block: the same bytes as ``write_array`` of the complete array.
+    """Write one ``.npy`` file atomically, block of rows by block, with the bytes that ``write_array`` gives the whole.
 
     The file is not memory-mapped, since a full disk kills a process that writes to mapped memory.
-
-    Args:
-        path: The file.
-        shape: Shape of the complete array.
-        dtype: Its data type.
-        blocks: Its rows in order, in blocks.
     """
     size = math.prod(shape) * dtype.itemsize
 
@@ -192,8 +176,7 @@ def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
 def read_arrays(path: Path) -> dict[str, np.ndarray]:
     """Read all arrays of a file that ``write_arrays`` made and compare each with its checksum.
 
-    Raises:
-        DamagedError: The file is missing, truncated or changed.
+    Raises DamagedError if the file is missing, truncated or changed.
     """
     try:
         data = path.read_bytes()

@@ -52,17 +52,11 @@ class PlanarDrive:
 
 
 def collect(settings: SimSettings, seed: int, folder: Path, progress: Report) -> None:
-    """Make a recording of a plane world, unless there is a complete one.
+    """Make a recording of a plane world, unless there is a complete one, which holds ``manifest.json``.
 
-    Args:
-        settings: World, lidar, encoder, drive (speeds, spacing, samples at most) and test grid are used.
-        seed: Seed of the RNG streams for world, driving, encoder and noise.
-        folder: The recording's folder; complete once it holds ``manifest.json``.
-        progress: Called with a stage (``drive``), the samples done and the largest number that there can be.
-
-    Raises:
-        InputError: There is no room for any test position.
-        WorkError: The robot finds no way on.
+    World, lidar, encoder, drive (speeds, spacing, samples at most) and test grid of the settings are used. Progress is
+    a stage (``drive``), the samples done and the largest number that there can be. Raises InputError if there is no
+    room for any test position, WorkError if the robot finds no way on.
     """
     if (folder / "manifest.json").is_file():
         return
@@ -152,8 +146,7 @@ def choose_heading(
 ) -> tuple[float, int]:
     """Draw a heading [rad], uniform among those with LEAST_STEPS clear spacings or more, and count them.
 
-    Raises:
-        WorkError: No such heading is found.
+    Raises WorkError if no such heading is found.
     """
     for _ in range(TRIES):
         heading = rng.uniform(-np.pi, np.pi)

@@ -152,8 +152,7 @@ class LidarWorld:
     def lay_grid(self, grid: GridSettings) -> np.ndarray:
         """Return poses (C, H, 3) of the test grid: every reachable place, headings spread evenly from +x.
 
-        Raises:
-            InputError: There is no room for any test position.
+        Raises InputError if there is no room for any test position.
         """
         count = int(self.bounds[1, 0] / grid.spacing_m)
         side = grid.spacing_m * np.arange(-count, count + 1)

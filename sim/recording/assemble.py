@@ -45,12 +45,7 @@ def write_drive(
 ) -> dict[str, float]:
     """Write the drive, cut to the number of samples wanted, and return its entries for the manifest.
 
-    Args:
-        folder: The recording's folder.
-        settings: The sensors, the encoders and the number of samples.
-        drive: The drive.
-        rng: Parent of the RNG streams of the encoders' faults.
-        wheel_radius_m: Effective wheel radius [m].
+    The wheel radius is the effective one [m]; ``rng`` is the parent of the RNG streams of the encoders' faults.
     """
     samples = settings.drive.samples
     joined = {
@@ -91,14 +86,7 @@ def take_held_out(settings: SimSettings, drive: CollectedDrive) -> np.ndarray:
 
 
 def write_observations(folder: Path, settings: SimSettings, seed: int, drive: CollectedDrive) -> None:
-    """Write the observations of the drive by all sensors that are kept, as each measures them.
-
-    Args:
-        folder: The recording's folder.
-        settings: The sensors and the number of samples.
-        seed: Seed of the sensors' RNG streams.
-        drive: The drive with its parts.
-    """
+    """Write the observations of the drive by all sensors that are kept, as each measures them."""
     samples = settings.drive.samples
     images = _count_turn_images(drive, samples)
     for name in list_kept(settings):

@@ -93,10 +93,7 @@ def sense_part(part: Part, beat: Beat) -> None:
 
     One image of each camera is drawn again after the others to check that the renderer can be trusted. A file holds the
     observations, if they are kept, and what was found in them; the name of the renderer (``renderer``), how many images
-    were drawn twice and how often they differed.
-
-    Raises:
-        UnsteadyError: An image that was drawn twice came out different; its file is not written.
+    were drawn twice and how often they differed. Raises UnsteadyError if one differed; its file is not written.
     """
     for name, path in part_files(part.settings, part.path).items():
         if path.is_file():

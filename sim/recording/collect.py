@@ -94,20 +94,12 @@ def collect(
     workers: int | None = None,
     base: Path | None = None,
 ) -> None:
-    """Make a recording, or complete an unfinished one; a drive in use comes first.
+    """Make a recording, or complete an unfinished one, which has no ``manifest.json`` yet; a drive in use comes first.
 
-    Args:
-        settings: World, robot, sensors, drive and test grid.
-        seed: Seed of the RNG streams for driving and sensors.
-        folder: The recording's folder; finished once it holds ``manifest.json``.
-        progress: Called with a stage (``drive`` or ``render``, or these ``in use``), the number of images done and
-            their total.
-        workers: Number of rendering processes; None: one for each usable core, or fewer if there are few images.
-        base: A finished recording for which ``has_same_training_drive`` holds; only what differs is made.
-
-    Raises:
-        InputError: The room cannot be used, or has no test position.
-        WorkError: There is no renderer, physics failed, or the disk is full.
+    Progress is a stage (``drive`` or ``render``, or these ``in use``), the number of images done and their total.
+    Without a number of workers, one renders on each usable core, or fewer if there are few images. Of a base, a
+    finished recording for which ``has_same_training_drive`` holds, only what differs is made. Raises InputError if the
+    room cannot be used or has no test position, WorkError if there is no renderer, physics failed, or the disk is full.
     """
     start = time.perf_counter()
     work = work_folder(folder)

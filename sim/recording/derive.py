@@ -81,15 +81,8 @@ def derive(base: Path, settings: SimSettings, seed: int, folder: Path) -> None:
     """Derive a recording from another one of the same drive, byte for byte as if it had been collected.
 
     Unchanged files are hard links, or copies where links are impossible: each recording is complete without the other.
-
-    Args:
-        base: Folder of the other recording; it is not shorter, has lost no readings, and its images have no faults.
-        settings: Like the other's, except for the encoder, faults of the finished image and the number of samples.
-        seed: The same as the other's.
-        folder: The recording's folder; finished once it holds ``manifest.json``.
-
-    Raises:
-        InputError: The other recording does not fit.
+    The other one is not shorter, has lost no readings, and its images have no faults; its settings and seed are the
+    same, except for the encoder, faults of the finished image and the number of samples; if not, InputError is raised.
     """
     if (folder / "manifest.json").is_file():
         return
@@ -168,8 +161,7 @@ def _read_again(
 def explain_misfit(base: Path, settings: SimSettings, seed: int) -> str | None:
     """Why no recording with these settings and this seed can be derived from that in a folder; None: it can.
 
-    Raises:
-        InputError: The manifest of the recording, or of its drive in use, cannot be read.
+    Raises InputError if the manifest of the recording, or of its drive in use, cannot be read.
     """
     manifest = read_manifest(base)
     if misfit := _explain_misfit_of_drive(manifest, settings, seed):
@@ -235,8 +227,7 @@ def can_share(settings: SimSettings) -> bool:
 def has_same_training_drive(base: Path, settings: SimSettings, seed: int) -> bool:
     """Whether the training drive of a recording has the bytes that these settings and this seed would give.
 
-    Raises:
-        InputError: The recording's manifest cannot be read.
+    Raises InputError if the recording's manifest cannot be read.
     """
     manifest = read_manifest(base)
     if manifest.seed != seed:
@@ -247,11 +238,7 @@ def has_same_training_drive(base: Path, settings: SimSettings, seed: int) -> boo
 
 
 def link_training(base: Path, folder: Path) -> dict[str, Any]:
-    """Link the files of a recording's training drive, or copy them where links are impossible.
-
-    Returns:
-        Their entries of the manifest.
-    """
+    """Link the files of a recording's training drive, or copy them; return their entries of the manifest."""
     manifest = read_manifest(base)
     for name in manifest.sha256:
         if not (name.startswith(OF_TESTS) or (folder / name).is_file()):

@@ -88,8 +88,7 @@ class Truth:
 def open_recording(folder: Path) -> Recording:
     """Open what the robot sensed and compare its files with their checksums.
 
-    Raises:
-        InputError: The folder is not a finished recording, or one of its files is damaged.
+    Raises InputError if the folder is not a finished recording, or one of its files is damaged.
     """
     manifest = read_manifest(folder)
     _check_files(folder, manifest, truth=False)
@@ -138,13 +137,7 @@ def measure_driven(segment: np.ndarray, travelled_m: np.ndarray) -> float:
 
 
 def stamp(observation: np.ndarray, time: np.ndarray, count: int) -> np.ndarray:
-    """Times of observations (count,) [s]: those of their first readings; NaN where there is none.
-
-    Args:
-        observation: Observation of each reading (R,).
-        time: Time of each reading (R,) [s].
-        count: Number of observations.
-    """
+    """Times of observations (count,) [s]: those of their first readings (R,); NaN where there is none."""
     found = np.full(count, np.nan)
     if observation.shape == time.shape:
         there = (observation >= 0) & (observation < count)

@@ -98,13 +98,9 @@ class Renderers:
         self._look(0.0)
 
     def finish(self, progress: Callable[[int], None]) -> None:
-        """Wait until all parts are drawn.
+        """Wait until all parts are drawn, whose number ``progress`` is told.
 
-        Args:
-            progress: Called with the number of parts drawn.
-
-        Raises:
-            WorkError: Renderers die, hang or err too often, or a part cannot be written.
+        Raises WorkError if renderers die, hang or err too often, or a part cannot be written.
         """
         while self._waiting or any(worker.parts for worker in self._workers):
             self._look(LOOK_S)
@@ -228,11 +224,7 @@ class Renderers:
 
 
 def work(handle: int) -> None:
-    """Run in a worker process: draw the parts that arrive through a pipe and report the results.
-
-    Args:
-        handle: File descriptor of the pipe, which delivers the drawing function and then the parts.
-    """
+    """Run in a worker process: take the function that draws through a pipe, then parts, and report the results."""
     pipe = Connection(handle)
     with suppress(EOFError, BrokenPipeError):  # the parent is gone
         draw: Draw = pipe.recv()

@@ -27,15 +27,10 @@ _Geom = mujoco.mjtGeom
 
 
 def write_scene(model: mujoco.MjModel, path: Path, hidden: str = PREFIX) -> None:
-    """Write the visual geoms of a model as GLB; equal models give equal bytes.
+    """Write the visual geoms of a compiled room, in its initial state, as GLB; equal models give equal bytes.
 
-    Boxes and planes have their textures, all other shapes their texture's mean colour. Height fields and signed
-    distance fields are left out.
-
-    Args:
-        model: A compiled room, with or without the robot; shown in its initial state.
-        path: The file.
-        hidden: Prefix of the names of bodies to leave out.
+    Boxes and planes have their textures, all other shapes their texture's mean colour. Height fields, signed distance
+    fields and bodies whose names begin with ``hidden`` are left out.
     """
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)

@@ -36,13 +36,9 @@ class Turns:
 
 
 def check_turns(array: np.ndarray, observations: int, images: int, segment: np.ndarray) -> None:
-    """Raise InputError if an array of turns does not fit a recording.
+    """Raise InputError if turns (T, 4) do not fit a recording with so many observations and turn images.
 
-    Args:
-        array: The turns as stored (T, 4).
-        observations: Number of observations.
-        images: Number of turn images.
-        segment: Segment of each reading (R,).
+    ``segment`` is that of each reading (R,).
     """
     if array.ndim != 2 or array.shape[1] != 4 or not np.issubdtype(array.dtype, np.integer):
         raise InputError(f"turns {array.shape} of {array.dtype}: must be integers (T, 4)")
@@ -66,12 +62,9 @@ def from_array(array: np.ndarray) -> Turns:
 
 
 def list_turns(segment: np.ndarray, observation: np.ndarray, kinds: Sequence[int] | np.ndarray) -> Turns:
-    """Turns of a complete drive, each before a segment.
+    """Turns of a complete drive, each before a segment, from the segment and the observation of each reading (R,).
 
-    Args:
-        segment: Segment of each reading (R,), in the order driven.
-        observation: Observation of each reading (R,).
-        kinds: Number of the kind of the turn before each segment (S,) or more; that of the first one is not used.
+    Kinds (S,) or more are those of the turn before each segment; that of the first one is not used.
     """
     after = np.flatnonzero(np.diff(segment)) + 1
     kind = np.asarray(kinds, np.int64)[segment[after]]
@@ -81,13 +74,7 @@ def list_turns(segment: np.ndarray, observation: np.ndarray, kinds: Sequence[int
 
 
 def lose_turns(turns: Turns, segment: np.ndarray, arrived: np.ndarray) -> Turns:
-    """Turns before a segment of which a reading arrives, other than the first of all; ``after`` counts those that do.
-
-    Args:
-        turns: The turns of a drive whose readings have all arrived.
-        segment: Segment of each reading (R,).
-        arrived: Which readings arrive (R,) bool.
-    """
+    """Turns, but for the first, before a segment of which a reading (R,) arrives; ``after`` counts those that do."""
     row = np.append(np.flatnonzero(arrived), len(arrived))
     first = np.searchsorted(row, turns.after)
     kept = (first > 0) & (np.append(segment, -1)[row[first]] == segment[turns.after])

@@ -26,14 +26,9 @@ mujoco.set_mju_user_warning(lambda text: None)
 
 
 def compile_scene(room: mujoco.MjSpec, settings: SimSettings) -> mujoco.MjModel:
-    """Attach the robot to a copy of a room, force physics and image quality, and compile.
+    """Attach the robot to a copy of a room without moving parts, force physics and image quality, and compile.
 
-    Args:
-        room: The room, without moving parts; not modified.
-        settings: Wheel error, camera height, sensors to mount and the light in use are used.
-
-    Raises:
-        InputError: The room and the robot do not fit together, for instance because both have parts of the same name.
+    Raises InputError if the room and the robot do not fit together, as when both have parts of the same name.
     """
     spec = freeze(room)
     _force_physics(spec)
@@ -127,9 +122,8 @@ class Chassis:
     def step(self, wheel_speed: np.ndarray) -> None:
         """Drive the wheels at speeds (2,) left, right [rad/s] for one control period.
 
-        Raises:
-            WorkError: MuJoCo gave a warning, as it also does when the state is no longer finite; or the robot fell
-                through a hole in the floor.
+        Raises WorkError if MuJoCo gave a warning, as it also does when the state is no longer finite, or if the robot
+        fell through a hole in the floor.
         """
         data = self.data
         data.ctrl[:] = wheel_speed

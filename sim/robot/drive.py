@@ -94,17 +94,10 @@ def drive(robot: Robot, settings: DriveSettings, rng: np.random.Generator) -> It
 def next_segment(
     robot: Robot, settings: DriveSettings, rng: np.random.Generator, mode: DriveMode, visits: Visits
 ) -> Segment:
-    """Turn to a clear heading and drive one straight segment of at least two samples.
+    """Turn the robot, at rest, to a clear heading and drive one straight segment of at least two samples.
 
-    Args:
-        robot: The robot, at rest.
-        settings: How to drive and when to sample.
-        rng: Draws headings, arcs, when to enter or search, and the heading of a relocated robot.
-        mode: The last segment's mode, or a new one.
-        visits: What the robot has visited so far; this segment is added.
-
-    Raises:
-        WorkError: the robot is stuck.
+    The mode is the last segment's or a new one; ``rng`` draws headings, arcs, when to enter or search, and the heading
+    of a relocated robot. The segment is added to the visits. Raises WorkError if the robot is stuck.
     """
     wedged = relocated = dropped = 0
     after_arc = False

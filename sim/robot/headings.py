@@ -23,12 +23,8 @@ START_M = 0.5  # What stopping, turning and starting costs, as a distance [m]
 
 
 class Visits:
-    """A grid of the distance that the robot had driven when it last visited each cell.
-
-    Args:
-        body: Dimensions of the robot.
-        wheel_angle: Wheel angles (2,) where it begins [rad].
-    """
+    """A grid of the distance that a robot had driven when it last visited each cell, from wheel angles (2,) [rad]
+    on."""
 
     def __init__(self, body: Body, wheel_angle: np.ndarray) -> None:
         self._body, self._angle = body, wheel_angle
@@ -107,12 +103,9 @@ EVERY_M = 0.015
 
 
 class Gaps:
-    """Looks for gaps on one side or both along one straight segment.
+    """Looks for gaps on one side (1 left, -1 right) or both along one straight segment.
 
-    Args:
-        sides: Where to look: 1 left, -1 right.
-        enough_m: Any place counts where this much becomes clear [m]; None: only where another part of the room begins.
-        radius_m: Radius of the robot [m].
+    Any place counts where ``enough_m`` becomes clear [m]; None: only where another part of the room begins.
     """
 
     def __init__(self, sides: tuple[int, ...], enough_m: float | None, radius_m: float) -> None:
@@ -165,9 +158,8 @@ def turn_to_clear(
 ) -> float | None:
     """Turn as the mode says, then on until enough is clear ahead.
 
-    Returns:
-        Distance to leave ahead of the body [m]: STOP_DISTANCE_M, or less if a full turn found nothing
-        clear; None if no heading is clear even then.
+    Returns the distance to leave ahead of the body [m]: STOP_DISTANCE_M, or less if a full turn found nothing clear;
+    None if no heading is clear even then.
     """
     angle, sense, further_rad = _aim(robot, settings, rng, mode, visits)
     turn(robot, angle)

@@ -36,13 +36,7 @@ class Robot(Protocol):
 
 
 def look(robot: Robot, reach_m: float, turned_rad: float = 0.0) -> float:
-    """Return how far the robot could drive straight before a contact [m], ahead or at an angle to the left.
-
-    Args:
-        robot: The robot.
-        reach_m: Length of the rays [m].
-        turned_rad: Angle to the left of straight ahead [rad].
-    """
+    """How far the robot could drive before a contact [m], at most the reach, at an angle to the left of ahead [rad]."""
     return clear_length(robot.ranges(reach_m, turned_rad), robot.body.radius_m)
 
 

@@ -59,8 +59,7 @@ _SERVO = ("gaintype", "gainprm", "biastype", "biasprm", "forcelimited", "forcera
 def load_own_robot(robot: RobotSettings) -> mujoco.MjSpec:
     """Read a user's robot, with motors, wheel sensors, bumper and camera as the testbed's own robot has them.
 
-    Raises:
-        InputError: The file is refused, or lacks a part; one line names the setting and what is needed.
+    Raises InputError if the file is refused, or lacks a part; one line names the setting and what is needed.
     """
     spec = _read(robot)
     _add_camera(spec)
@@ -97,8 +96,7 @@ def _add_bumpers(spec: mujoco.MjSpec, radius_m: float) -> None:
 def describe_own(robot: RobotSettings) -> Body:
     """Dimensions of a user's robot by its geoms; wheel radius and track are rough.
 
-    Raises:
-        InputError: As ``load_own_robot``, or a wheel or the camera is not where it must be.
+    Raises InputError as ``load_own_robot``, or if a wheel or the camera is not where it must be.
     """
     try:
         model = _read(robot).compile()

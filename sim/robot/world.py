@@ -25,12 +25,9 @@ class RoomWorld(Chassis):
     """
 
     def __init__(self, settings: SimSettings, room: mujoco.MjSpec | None = None, drawn: bool = True) -> None:
-        """Build the settings' room, or take a given one, and put the robot into it at rest.
+        """Build the settings' room as before deployment, or take a given one, and put the robot into it at rest.
 
-        Args:
-            settings: The room, its changes before deployment, the robot and the camera height are used.
-            room: A room to use instead of the settings' own.
-            drawn: Whether ``model`` includes geoms that nothing can touch; physics is a third faster without them.
+        ``drawn`` tells whether ``model`` includes geoms that nothing can touch; physics is a third faster without them.
         """
         still = change_room(build_room(settings.room) if room is None else room, settings.deployment)
         super().__init__(settings, still if drawn else bare(still), measure_body(settings))
@@ -65,12 +62,8 @@ class RoomWorld(Chassis):
         mujoco.mj_forward(self.model, self.data)
 
     def ranges(self, reach_m: float = REACH_M, turned_rad: float = 0.0) -> np.ndarray:
-        """Return distances (K,) of the range rays [m], fan after fan; ``reach_m`` where nothing is nearer.
-
-        Args:
-            reach_m: Longest distance to measure [m].
-            turned_rad: Direction of the fans: 0 straight ahead, positive to the left [rad].
-        """
+        """Distances (K,) of the range rays [m], at most the reach, fan after fan, which are turned to the left
+        [rad]."""
         x, y, yaw = self.pose()
         return self.ranges_at(np.array((x, y, yaw + turned_rad)), reach_m)
 

@@ -40,15 +40,8 @@ compressed first."""
 
 
 def list_topics(seen: Observed, settings: SimSettings, seed: int, base: Clock, parts: Sequence[Path]) -> list[Topic]:
-    """All topics of a log.
-
-    Args:
-        seen: What was observed.
-        settings: Camera and encoders.
-        seed: Seed of the encoders' faults and of the delays.
-        base: The clock of the wheels and the rays.
-        parts: Files of the pictures, in order.
-    """
+    """All topics of a log; the seed is for the encoders' faults and for delays, the clock is that of wheels and
+    rays."""
     return [
         *_list_camera_topics(seen, settings, seed, parts),
         _list_joints(seen, settings, seed, base),

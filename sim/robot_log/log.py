@@ -124,18 +124,10 @@ def write_log(
 ) -> None:
     """Write the log of a recording's drive, or complete an unfinished one, and the robot's description beside it.
 
-    Args:
-        path: The file; a log of other settings is replaced when the new one is complete.
-        settings: Those of the recording.
-        seed: That of the recording.
-        recording: Folder of the recording, which must have been driven by this simulator.
-        key: Names what determines the log.
-        progress: Called with a stage, the steps done and their number.
-        workers: Number of drawing processes; None: as many as pay.
-
-    Raises:
-        InputError: The recording holds another drive than these settings give here.
-        WorkError: There is no renderer, physics failed, or the disk is full.
+    Settings and seed are those of the recording, which must have been driven by this simulator; ``key`` names what
+    determines the log: one of other settings is replaced when the new one is complete. Without a number of workers, as
+    many draw as pay. Raises InputError if the recording holds another drive than these settings give here, WorkError if
+    there is no renderer, physics failed, or the disk is full.
     """
     work = path.with_name(f"{path.name}.parts")
     with _hold(work, path):
@@ -165,8 +157,7 @@ def write_log(
 def _hold(work: Path, path: Path) -> Iterator[None]:
     """Lock the folder of an unfinished log against other processes; a dead process holds no lock.
 
-    Raises:
-        InputError: Another process writes this log, or the folder cannot be made.
+    Raises InputError if another process writes this log, or the folder cannot be made.
     """
     try:
         work.mkdir(parents=True, exist_ok=True)
@@ -196,11 +187,7 @@ def _keep_parts(work: Path, key: str) -> None:
 
 
 def _drive(world: TracedWorld, seed: int, recording: Path, progress: Report) -> Observed:
-    """Repeat the drive of a recording and observe it.
-
-    Raises:
-        InputError: The wheels turned otherwise in the recording.
-    """
+    """Repeat the drive of a recording and observe it; raises InputError if the wheels turned otherwise there."""
     base, seen, angle = make_base_clock(seed), list[Observed](), list[np.ndarray]()
     wanted = world.settings.drive.samples + world.settings.grid.held_out
     for stretch in trace_drive(world, seed):

@@ -165,16 +165,10 @@ def holds(path: Path, key: str) -> bool:
 
 
 def write_mcap(path: Path, topics: Sequence[Topic], key: str, progress: Callable[[int, int], None]) -> None:
-    """Write a file aside and rename it when it is complete.
+    """Write a file aside and rename it when it is complete; ``holds`` recognises it by the key.
 
-    Args:
-        path: The file.
-        topics: Its topics; of messages that were recorded at the same time, those of an earlier topic come first.
-        key: What ``holds`` recognises the file by.
-        progress: Called with the messages written and their number.
-
-    Raises:
-        WorkError: The disk is full, or writing fails.
+    Of messages that were recorded at the same time, those of an earlier topic come first. Raises WorkError if the disk
+    is full, or writing fails.
     """
 
     def write(part: Path) -> None:

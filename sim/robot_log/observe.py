@@ -162,8 +162,7 @@ Sense = Callable[[np.ndarray, np.ndarray | None], np.ndarray]
 def draw_part(part: Part, beat: Callable[[], None]) -> None:
     """Run in a worker: draw the pictures of a part's states and write their JPEG files, one after the other.
 
-    Raises:
-        UnsteadyError: A picture that was drawn twice came out different; nothing is written.
+    Raises UnsteadyError if a picture that was drawn twice came out different; nothing is written.
     """
     sense = open_camera(part.settings)  # pyright: ignore[reportArgumentType] (frozen settings do hash)
     files = []

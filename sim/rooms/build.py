@@ -27,10 +27,8 @@ def build_room(settings: RoomSettings) -> mujoco.MjSpec:
     """Build a room, ready for a robot to be attached.
 
     Drawn geoms are in group 2 and collide with nothing; colliding geoms are in group 3 and are not drawn. The floor is
-    the plane ``floor`` at z = 0; the origin is the middle of the room's extent.
-
-    Raises:
-        InputError: The MJCF file that the settings name cannot be used.
+    the plane ``floor`` at z = 0; the origin is the middle of the room's extent. Raises InputError if the MJCF file that
+    the settings name cannot be used.
     """
     if settings.mjcf is not None:
         from sim.rooms.mjcf import load_room

@@ -24,18 +24,9 @@ def change_room(room: mujoco.MjSpec, deployment: DeploymentSettings) -> mujoco.M
 
 
 def move_furniture(room: mujoco.MjSpec, moved_m: float, seed: int = 0) -> mujoco.MjSpec:
-    """Push each small piece of a room straight in a random direction that is clear; a piece without one stays.
+    """A copy of a room with each small piece pushed so far [m] in a random direction that is clear, if there is one.
 
-    Args:
-        room: The room; not modified.
-        moved_m: How far to push each piece [m].
-        seed: Seed of the directions.
-
-    Returns:
-        A copy of the room.
-
-    Raises:
-        InputError: No piece can be pushed that far, so nothing would change.
+    Raises InputError if no piece can be pushed that far, so nothing would change.
     """
     spec, rng = room.copy(), stream(seed, "moved furniture")
     model = spec.compile()

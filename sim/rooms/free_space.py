@@ -15,19 +15,11 @@ _FLAT = 1e-6
 
 
 def find_free_space(model: mujoco.MjModel, radius_m: float, height_m: float, cell_m: float = 0.02) -> FreeSpace:
-    """Find the cells in which an upright cylinder of the robot's size touches no colliding geom.
+    """Find the cells in which an upright cylinder of the robot's size [m] touches no colliding geom of its room.
 
     A block of cells is decided at once if the cylinder in its middle is further from a geom than the block's corners
-    are from its middle: the signed distance between two bodies changes by no more than one of them moves.
-
-    Args:
-        model: The compiled room, without the robot.
-        radius_m: The robot's radius [m].
-        height_m: The robot's full height, floor to mast top [m].
-        cell_m: Side of a cell [m].
-
-    Raises:
-        InputError: No free space is enclosed by walls, the site ``start`` is not free, or the room is too large.
+    are from its middle: the signed distance between two bodies changes by no more than one of them moves. Raises
+    InputError if no free space is enclosed by walls, the site ``start`` is not free, or the room is too large.
     """
     probe = _Probe(model, radius_m, height_m)
     origin, shape = _search_area(probe, radius_m, cell_m)

@@ -49,11 +49,7 @@ def raise_labyrinth(room: Room) -> None:
 def draw_passages(columns: int, rows: int, rng: np.random.Generator, loops: float) -> set[frozenset[Cell]]:
     """Draw which neighbouring cells are connected: a random spanning tree by depth-first search, and some loops.
 
-    Args:
-        columns: Cells along x.
-        rows: Cells along y.
-        rng: Random stream.
-        loops: Share of all pairs of neighbours that are connected whether or not the tree has them.
+    ``loops`` is the share of all pairs of neighbours that are connected whether or not the tree has them.
     """
     cells = [(x, y) for x in range(columns) for y in range(rows)]
     path, seen = [cells[0]], {cells[0]}

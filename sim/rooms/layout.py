@@ -49,11 +49,7 @@ Cost = Callable[[Pose], float]
 
 
 class Layout:
-    """The floor and the walls of one room, and which parts of them are taken.
-
-    Args:
-        corners: The room's corners (V, 2), counter-clockwise [m].
-    """
+    """The floor and the walls of a room with corners (V, 2) [m], counter-clockwise, and which parts are taken."""
 
     def __init__(self, corners: np.ndarray) -> None:
         self.corners = corners

@@ -19,12 +19,10 @@ SLOW_TRIANGLES = 100_000  # Number of triangles above which a warning says that 
 def load_room(path: Path) -> mujoco.MjSpec:
     """Read an MJCF file as a static room without actuators, keeping its own floor.
 
-    Files that it includes or uses must be in its own folder. A floor is a plane, a horizontal box top or a terrain at
-    z = 0. Unless it is a plane or a terrain, an infinite plane ``floor`` is added: at z = 0, or just below boxes, which
-    may end before the room does.
-
-    Raises:
-        InputError: The file is missing, is not MJCF, refers outside its folder, uses plugins, or takes too long.
+    Files that it includes or uses must be in its own folder. A floor is a plane, a horizontal box top or a terrain at z
+    = 0. Unless it is a plane or a terrain, an infinite plane ``floor`` is added: at z = 0, or just below boxes, which
+    may end before the room does. Raises InputError if the file is missing, is not MJCF, refers outside its folder, uses
+    plugins, or takes too long.
     """
     list_files(path)
     what = f"room.mjcf {shorten(str(path), 300)}"

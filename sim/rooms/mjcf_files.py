@@ -31,8 +31,7 @@ _REFUSED = {"plugin": "plugins", "extension": "extensions", "flex": "flexible bo
 def list_files(path: Path, kind: Kind = "room") -> list[Path]:
     """The files that a room or a robot uses, its own first, after MuJoCo has compiled it within the limits.
 
-    Raises:
-        InputError: It is refused; one line names the setting, the file and the reason.
+    Raises InputError if it is refused; one line names the setting, the file and the reason.
     """
     what = f"{kind}.mjcf {shorten(str(path), 300)}"
     try:
@@ -131,8 +130,7 @@ def _refuse_outside(element: ET.Element, name: str) -> str:
 def try_out(path: Path, kind: Kind) -> list[Path]:
     """Read an MJCF file and, if there is MuJoCo, compile it; return the files that it uses, itself first.
 
-    Raises:
-        InputError: It is no MJCF file, names a file outside its own folder, or MuJoCo cannot compile it.
+    Raises InputError if it is no MJCF file, names a file outside its own folder, or MuJoCo cannot compile it.
     """
     files = find_files(path)
     try:

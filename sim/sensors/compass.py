@@ -25,9 +25,8 @@ from sim.sensors.compass_fit import Grid, fit_rotation, make_grid, sample_spectr
 def find_highest(curve: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """The highest peaks of curves (..., n), the highest first.
 
-    Returns:
-        Angle of each (..., count) [rad], between the samples as ``find_top`` says, and its sample's value
-        (..., count), -inf where a curve has fewer peaks.
+    Returns the angle of each (..., count) [rad], between the samples as ``find_top`` says, and its sample's value (...,
+    count), -inf where a curve has fewer peaks.
     """
     before, after = np.roll(curve, 1, axis=-1), np.roll(curve, -1, axis=-1)
     peaks = np.where((curve > before) & (curve >= after), curve, -np.inf)
@@ -70,19 +69,12 @@ class Hypotheses:
 
 
 def find_turns(first: np.ndarray, second: np.ndarray, lens: Lens) -> Hypotheses:
-    """Find all angles by which the robot may have turned between two images.
+    """Find all angles by which the robot may have turned between polar images (P, rings, sectors, channels) of a lens.
 
     Peaks of the correlation, weighted by solid angle, are sampled ``FINER`` times finer than the sectors; the likeliest
     are refined by a robust fit. A peak has the profile likelihood of a Gaussian residual, (1 - correlation^2)^(-n / 2),
-    with n = 2 (sum p)^2 / sum p^2 independent values in the power spectrum p: rings and channels count as one.
-
-    Args:
-        first: Polar images (P, rings, sectors, channels), uint8 or float.
-        second: Polar images of the same shape.
-        lens: Their lens.
-
-    Raises:
-        InputError: The shapes differ or are not those of polar images.
+    with n = 2 (sum p)^2 / sum p^2 independent values in the power spectrum p: rings and channels count as one. Raises
+    InputError if the shapes differ or are not those of polar images.
     """
     first, second = np.asarray(first), np.asarray(second)
     if first.ndim != 4 or first.shape != second.shape or first.shape[1] < 2 or first.shape[2] < 8 or first.shape[3] < 1:
@@ -133,13 +125,10 @@ def disambiguate(hypotheses: Hypotheses, turn: np.ndarray, std: np.ndarray) -> H
 def follow(images: np.ndarray, lens: Lens) -> tuple[np.ndarray, np.ndarray]:
     """Heading of each image of a straight segment against the first, and its standard deviation, both (n,) [rad].
 
-    It adds up the turns between consecutive images. What the robot passes pulls them to its side, so sectors count by
-    1 / (1 + (sin azimuth / sin ``AHEAD_RAD``)^2)^2: ahead and behind, driving on moves no azimuth. The errors that are
-    left last for a while: their correlation is taken as exp(-distance / ``LASTING``). NaN from where an image is blank.
-
-    Args:
-        images: Polar images of the segment in order, a few centimetres apart (n, rings, sectors, channels).
-        lens: Their lens.
+    It adds up the turns between consecutive images (n, rings, sectors, channels), a few centimetres apart. What the
+    robot passes pulls them to its side, so sectors count by 1 / (1 + (sin azimuth / sin ``AHEAD_RAD``)^2)^2: ahead and
+    behind, driving on moves no azimuth. The errors that are left last for a while: their correlation is taken as
+    exp(-distance / ``LASTING``). NaN from where an image is blank.
     """
     rings, sectors = images.shape[1:3]
     grid = make_grid(rings, sectors, lens)

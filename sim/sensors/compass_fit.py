@@ -98,16 +98,11 @@ def _transform(values: np.ndarray) -> np.ndarray:
 
 
 def fit_rotation(first: np.ndarray, second: np.ndarray, angle: np.ndarray, grid: Grid) -> Fitted:
-    """Fit the rotation of M pairs by Gauss-Newton with Cauchy weights, scaled by the residual's RMS.
+    """Fit the rotation of M pairs of spectra (M, channels, rings, frequencies) by Gauss-Newton with Cauchy weights.
 
-    The covariance is the sandwich of Huber ("Robust statistics", 1981, sec. 7.6), with scores summed over blocks of
-    neighbouring sectors (Newey and West, Econometrica 55(3), 1987), since they are correlated.
-
-    Args:
-        first: Spectra (M, channels, rings, frequencies).
-        second: Spectra, as ``first``.
-        angle: Where to begin (M,) [rad]: within about a sector.
-        grid: Of the images' size.
+    These are scaled by the residual's RMS. It begins at angles (M,) [rad] within about a sector. The covariance is the
+    sandwich of Huber ("Robust statistics", 1981, sec. 7.6), with scores summed over blocks of neighbouring sectors
+    (Newey and West, Econometrica 55(3), 1987), since they are correlated.
     """
     sectors = grid.rays.shape[1]
     other = sample_spectra(second, sectors)

@@ -226,10 +226,7 @@ def read_encoders(
 def describe_odometry(settings: EncoderSettings, wheel_radius_m: float, track_m: float) -> Constants:
     """What a robot's builder knows of its odometry: constants with their set errors, and the noise in data sheets.
 
-    Args:
-        settings: The encoders.
-        wheel_radius_m: Radius of both wheels [m].
-        track_m: True distance between the wheels [m].
+    The wheels' radius and the distance between them are the true ones [m].
     """
     return {
         "wheel_radius_m": wheel_radius_m,

@@ -18,12 +18,7 @@ LIDAR_HEIGHT_M = 0.18  # Height of the rays above the floor [m] (TurtleBot3 Burg
 
 
 class Lidar:
-    """A lidar in a room.
-
-    Args:
-        room: The room without the robot.
-        lidar: Number of the rays.
-    """
+    """A lidar in a room without the robot."""
 
     def __init__(self, room: mujoco.MjSpec, lidar: LidarSettings) -> None:
         self._model, self._data = compile_solid(room)

@@ -42,17 +42,10 @@ def draw_gallery(
     path: Path,
     progress: Callable[[str, int, int], None] = lambda *_: None,
 ) -> None:
-    """Draw every kind with every seed, cycling through the shapes, and write one PNG.
+    """Draw every kind with every seed and write one PNG; a seed's shape is the seed modulo the number of shapes.
 
-    Args:
-        kinds: Kinds of room.
-        seeds: Seeds of each kind; a seed's shape is the seed modulo the number of shapes.
-        path: PNG file to write.
-        progress: Called with a stage (``rooms``), the rooms drawn and their number.
-
-    Raises:
-        InputError: A room cannot be built.
-        WorkError: Nothing can be drawn on this machine.
+    Progress is a stage (``rooms``), the rooms drawn and their number. Raises InputError if a room cannot be built,
+    WorkError if nothing can be drawn on this machine.
     """
     gl.choose_backend()
     shapes = get_args(RoomShape)
@@ -206,14 +199,10 @@ def _label(row: np.ndarray, text: str) -> np.ndarray:
 
 
 def draw_round(settings: SimSettings, poses: np.ndarray, size_px: int = ROUND_PX) -> np.ndarray:
-    """Draw what the robot sees at rest at poses (n, 3) x, y [m], yaw [rad], in the room as it is in training.
+    """Round pictures (n, size_px, size_px, 3) uint8 RGB of the room in training, at poses (n, 3) x, y [m], yaw [rad].
 
-    Returns:
-        Round pictures (n, size_px, size_px, 3) uint8 RGB, black outside the rim.
-
-    Raises:
-        InputError: The room cannot be built.
-        WorkError: No OpenGL context can be opened.
+    A picture is black outside the rim. Raises InputError if the room cannot be built, WorkError if no OpenGL context
+    can be opened.
     """
     world = RoomWorld(settings.model_copy(update={"deployment": DeploymentSettings()}))
     pictures = np.empty((len(poses), size_px, size_px, 3), np.uint8)

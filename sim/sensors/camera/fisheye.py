@@ -104,16 +104,8 @@ class Fisheye(Offscreen):
     """The upward camera of one model; opens an OpenGL context, which belongs to the thread that opened it.
 
     Its optical axis is the z axis of the site ``robot/camera`` and azimuth zero its x axis. The robot's own geoms are
-    not drawn: none of them is above the lens.
-
-    Args:
-        model: A compiled room with the robot in it.
-        camera: The lens and the sizes of its image.
-        mount: Where the camera is on the robot, and its optical centre; leans are given with each image.
-
-    Raises:
-        InputError: The lens is impossible.
-        WorkError: No OpenGL context can be opened; the message names the fix.
+    not drawn: none of them is above the lens. The mount says where the camera and its optical centre are; leans are
+    given with each image. Raises InputError if the lens is impossible, WorkError if no OpenGL context can be opened.
     """
 
     def __init__(self, model: mujoco.MjModel, camera: CameraSettings, mount: CameraMountSettings = ON_THE_AXLE) -> None:
@@ -135,12 +127,10 @@ class Fisheye(Offscreen):
         super().__init__(model, last.column + last.width, height)
 
     def polar(self, data: mujoco.MjData, lean: np.ndarray | None = None, dress: Dress | None = None) -> np.ndarray:
-        """The polar image of the state ``data``: (rings, sectors, 3) uint8 RGB.
+        """The polar image of a state with kinematics computed: (rings, sectors, 3) uint8 RGB.
 
-        Args:
-            data: The model's state, with kinematics computed.
-            lean: Lean of the camera about its own centre, to the robot's right and forward (2,) [rad].
-            dress: Changes the scene first; what it adds is drawn in every face.
+        The camera leans about its own centre, to the robot's right and forward (2,) [rad]; ``dress`` changes the scene
+        first, and what it adds is drawn in every face.
         """
         return _warp(self._draw(data, lean, dress), self._polar)
 

@@ -58,11 +58,6 @@ def place_person(space: FreeSpace, state: np.ndarray, seed: int = 0) -> list[Sha
     """A person at a random free place, for the state (nq,) in which an image is taken; none if no place is free.
 
     The draw depends on the seed and on the state alone, not on which other images are taken.
-
-    Args:
-        space: Where a person has room.
-        state: Full position of the simulation.
-        seed: Seed of all such draws.
     """
     rng = stream(seed, "person", zlib.crc32(np.ascontiguousarray(state).tobytes()))
     places = _list_free(space)
@@ -71,13 +66,7 @@ def place_person(space: FreeSpace, state: np.ndarray, seed: int = 0) -> list[Sha
 
 
 def place_lamp(space: FreeSpace, room: mujoco.MjModel, seed: int = 0) -> np.ndarray:
-    """Place (3,) [m] of a lamp above a random place where a person has room, below the ceiling if the room has one.
-
-    Args:
-        space: Where a person has room.
-        room: The room without the robot.
-        seed: Seed of the draw.
-    """
+    """Place (3,) [m] of a lamp above a random place where a person has room, below the ceiling if the room has one."""
     places = _list_free(space)
     place = np.array([*places[stream(seed, "lamp").integers(len(places))], PERSON_HEIGHT_M / 2])
     data = mujoco.MjData(room)

@@ -22,11 +22,9 @@ _MOST_DEVICES = 32
 def choose_backend() -> str:
     """Set MUJOCO_GL and PYOPENGL_PLATFORM to a backend that works, and return it: ``egl`` or ``osmesa``.
 
-    Call it before mujoco is imported. A backend that the user's environment names is the only one tried.
-
-    Raises:
-        InputError: An environment variable names an unknown backend, or two variables disagree.
-        WorkError: No usable backend is installed; the message names the missing package.
+    Call it before mujoco is imported. A backend that the user's environment names is the only one tried. Raises
+    InputError if an environment variable names an unknown backend, or two disagree, WorkError if no usable backend is
+    installed; the message names the missing package.
     """
     wanted = _read_environment()
     problems = {}
@@ -39,14 +37,9 @@ def choose_backend() -> str:
 
 
 def open_context(width: int, height: int) -> Any:
-    """Open an off-screen OpenGL context and make it current; its owner calls ``free()``.
+    """Open an off-screen OpenGL context for pictures of this size [px] and make it current; its owner calls ``free()``.
 
-    Args:
-        width: Width of the largest picture [px]; EGL ignores it.
-        height: Its height [px].
-
-    Raises:
-        InputError, WorkError: As in ``choose_backend``, or the driver refuses a context.
+    EGL ignores the size. Raises as ``choose_backend`` does, or if the driver refuses a context.
     """
     backend = choose_backend()
     try:

@@ -40,11 +40,8 @@ class Sources:
 def find_sources(model: mujoco.MjModel, source: Source) -> Sources:
     """Find the lamps or the windows of a compiled room: a light for each that glows, the ``MOST`` largest at most.
 
-    What glows in one body is one lamp or window; what is fixed to the world itself is one for each geom.
-
-    Args:
-        model: The room, with or without a robot.
-        source: ``lamps`` or ``windows``; screens count as windows, by their size.
+    What glows in one body is one lamp or window; what is fixed to the world itself is one for each geom. Screens count
+    as windows, by their size.
     """
     material, has = model.geom_matid, model.geom_matid >= 0
     glows, pictured = has.copy(), np.zeros_like(has)
@@ -96,14 +93,7 @@ DARK = 1e-3  # Least illumination by which is divided, as a fraction of white
 
 
 class Illumination:
-    """Draws the illumination by each kind of source as the fisheye camera sees it; one OpenGL context for each kind.
-
-    Args:
-        model: A compiled room with the robot in it.
-        camera: The lens and the sizes of its image.
-        mount: Where the camera is on the robot.
-        sources: Kinds of sources.
-    """
+    """Draws the illumination by each kind of source as the fisheye camera sees it; one OpenGL context for each kind."""
 
     def __init__(
         self,
@@ -116,12 +106,10 @@ class Illumination:
         self._cameras = {kind: Fisheye(_whiten(model, sources, kind), camera, mount) for kind in sources}
 
     def draw(self, data: mujoco.MjData, lean: np.ndarray | None, dress: Dress) -> dict[str, np.ndarray]:
-        """Illumination (rings, sectors, 3) of the state ``data`` by each kind of source, as a fraction of white.
+        """Illumination (rings, sectors, 3) by each kind of source, as a fraction of white, of a state with its
+        kinematics.
 
-        Args:
-            data: The model's state, with kinematics computed.
-            lean: Lean of the camera (2,) [rad].
-            dress: Adds to the scene what the room does not have; it becomes white too.
+        The camera leans (2,) [rad]; ``dress`` adds to the scene what the room does not have; it becomes white too.
         """
 
         def light(scene: mujoco.MjvScene, sources: Sources) -> None:
@@ -138,12 +126,9 @@ class Illumination:
 
 
 def mix(light: np.ndarray, by: Mapping[str, np.ndarray], fraction: Mapping[str, float]) -> np.ndarray:
-    """Linear light (...) of a picture if each kind of source shines with a fraction of its light.
+    """Linear light (...) of a picture in which each kind of source shines with a fraction of its light, not all of it.
 
-    Args:
-        light: Linear light of the picture (...), in which lamps and windows shine.
-        by: Illumination by each kind of source (...), in a common unit.
-        fraction: Fraction of each kind's light; 0 for kinds that are left out.
+    The illumination by each kind (...) is in a common unit; kinds without a fraction are left out.
     """
     usual = sum(by[kind] for kind in KINDS)
     return light * (sum(share * by[kind] for kind, share in fraction.items()) / np.maximum(usual, DARK))

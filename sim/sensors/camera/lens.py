@@ -114,12 +114,8 @@ def unproject_round(lens: Lens, pixels: np.ndarray, size: int) -> np.ndarray:
 def polar_rays(lens: Lens, rings: int, sectors: int, centre: float = 0.0) -> np.ndarray:
     """Directions of all pixels of the polar image (rings, sectors, 3).
 
-    Args:
-        lens: The lens.
-        rings: Rows of the polar image.
-        sectors: Its columns.
-        centre: How far the optical centre is ahead of the polar image's, as a fraction of the rim's radius. Pixels that
-            are then outside the rim are NaN.
+    The optical centre is so far ahead of the polar image's, as a fraction of the rim's radius. Pixels that are then
+    outside the rim are NaN.
     """
     if not centre:
         return unproject_polar(lens, _pixels(rings, sectors), rings, sectors)

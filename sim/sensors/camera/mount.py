@@ -25,11 +25,8 @@ def draw_leans(settings: CameraMountSettings, count: int, rng: np.random.Generat
 
 
 def tilt(lean: np.ndarray) -> np.ndarray:
-    """Axes of the leaning camera as columns (3, 3), in the frame of the upright one: R_y(ahead) R_x(right).
-
-    Args:
-        lean: Lean to the right and forward (2,) [rad].
-    """
+    """Axes (3, 3), as columns, of a camera that leans to the right and forward (2,) [rad], in the frame of the upright
+    one: R_y(ahead) R_x(right)."""
     (s, t), (c, d) = np.sin(lean), np.cos(lean)
     right = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
     ahead = np.array([[d, 0.0, t], [0.0, 1.0, 0.0], [-t, 0.0, d]])

@@ -25,15 +25,8 @@ TURN = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 class TagCamera(Offscreen):
     """The tag camera of one model; opens an OpenGL context, which belongs to the thread that opened it.
 
-    The robot itself is not drawn.
-
-    Args:
-        model: A compiled room with a robot that has this camera.
-        settings: Image size.
-        site: Site of the robot at which the camera is, its x axis pointing out and its z axis up.
-
-    Raises:
-        WorkError: No OpenGL context can be opened; the message names the fix.
+    The robot itself is not drawn. At its site, the x axis points out and the z axis up. Raises WorkError if no OpenGL
+    context can be opened; the message names the fix.
     """
 
     def __init__(self, model: mujoco.MjModel, settings: TagCameraSettings, site: str = NAME) -> None:

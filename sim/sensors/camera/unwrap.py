@@ -173,11 +173,8 @@ class RawCamera:
         return tuple(pixels.reshape(*points.shape[:-1], 2).transpose(-1, *range(points.ndim - 1)))
 
     def find_half_angle(self, circle_px: float | None = None) -> float:
-        """Largest angle from the axis [rad] up to which all directions are inside the image and the image circle.
-
-        Args:
-            circle_px: Radius of the image circle around the optical axis [px]; None: it fills the image.
-        """
+        """Largest angle from the axis [rad] up to which all directions are inside the image and the image circle, if
+        any [px]."""
         widest = WIDEST if MODELS[self.model] == "equidistant" else PINHOLE
         theta, azimuth = np.linspace(0.0, widest, STEPS)[:, None], np.linspace(0.0, 2 * np.pi, 360, endpoint=False)
         column, row = self.project(theta, azimuth[None])
@@ -214,15 +211,10 @@ class Unwrapping:
         forward_deg: float = 0.0,
         mirrored: bool = False,
     ) -> None:
-        """Prepare the maps.
+        """Prepare the maps from a camera to a polar image of a lens in whose rim everything must be seen.
 
-        Args:
-            camera: The camera.
-            lens: Lens of the polar image, in whose rim everything must be seen.
-            rings: Rows of the polar image.
-            sectors: Its columns, counter-clockwise from the robot's forward axis as seen from above.
-            forward_deg: Direction of the robot's forward axis in the raw image, clockwise from its top [deg].
-            mirrored: Whether the raw image is mirrored left to right.
+        Columns are counter-clockwise from the robot's forward axis as seen from above, whose direction in the raw image
+        is clockwise from its top [deg]; this may be mirrored left to right.
         """
         check_camera(camera)
         self.camera, self.rings, self.sectors = camera, rings, sectors
@@ -239,8 +231,7 @@ class Unwrapping:
     def __call__(self, image: np.ndarray) -> np.ndarray:
         """The polar image (rings, sectors, 3) uint8 of a raw image (height, width, 3) uint8, black where it ends.
 
-        Raises:
-            InputError: The image has another size than the calibration.
+        Raises InputError if the image has another size than the calibration.
         """
         if image.shape[1::-1] != self.camera.size:
             width, height = self.camera.size
