@@ -27,7 +27,8 @@ test-all: setup-dev  ## all tests: whole runs and studies, killed ones too, exam
 bench: setup  ## how fast this machine runs the demo, draws, trains and positions: 5 to 20 minutes
 	PYTHONPATH=. $(BIN)/python tests/bench.py
 
-docs: setup-dev  ## the documentation, in build/docs; warnings are errors
+docs: setup-dev  ## the reference from the code, and the documentation, in build/docs; warnings are errors
+	$(BIN)/python -m docs.generate
 	$(BIN)/sphinx-build -W --keep-going -q docs build/docs
 	@echo "look at it: build/docs/index.html"
 

@@ -1,6 +1,7 @@
 """Configuration of the documentation site; ``make docs`` builds it into build/docs."""
 
 import os
+import re
 import sys
 from importlib.metadata import version as version_of
 from pathlib import Path
@@ -10,7 +11,7 @@ from sphinx.application import Sphinx
 sys.path.insert(0, str(Path(__file__).parents[1]))
 os.environ.setdefault("MUJOCO_GL", "off")  # modules are imported for their docstrings; nothing is rendered
 
-from docs.generate import fill_in
+from docs.generate import show_figures
 from sim.settings import Group
 
 project = "DeepGPS testbed"
@@ -47,10 +48,16 @@ html_copy_source = False
 
 
 def setup(app: Sphinx) -> None:
-    """Fill in the parts of pages that come from the code, and leave out what Python itself says of a tuple's fields."""
+    """Add figures to results, and leave out what Python itself says of a tuple's fields."""
     app.connect("autodoc-skip-member", lambda *details: "Alias for field number" in str(details[3].__doc__) or None)
     app.connect("autodoc-process-signature", _shorten_settings)
-    app.connect("source-read", lambda _app, page, source: source.__setitem__(0, fill_in(source[0], page)))
+    app.connect("source-read", lambda _app, page, source: source.__setitem__(0, _complete(source[0], page)))
+
+
+def _complete(text: str, page: str) -> str:
+    """A page's text with a study's figures; "RMS / median / max" stays on one line."""
+    text += show_figures(page) if page.startswith("results/") else ""
+    return re.sub(r"(?<=\d) / (?=\d)", "\u00a0/\u00a0", text)
 
 
 def _shorten_settings(_app: Sphinx, _what: str, _name: str, thing: object, *_: object) -> tuple[str, None] | None:

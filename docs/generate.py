@@ -1,22 +1,22 @@
-"""The parts of the documentation that come from the code: settings, commands and the Python API.
+"""The parts of the documentation that come from the code: ``python -m docs.generate`` writes them into its pages.
 
-A page has a comment in the place of such a part, ``<!-- generated: settings -->``, and on the same line what readers of
-the repository see instead.
+Such a part stands in ``docs/reference/`` between two comments, ``<!-- generated: settings -->`` and ``<!-- end -->``.
 """
 
 import os
 import re
-import subprocess
-import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import redirect_stdout, suppress
 from inspect import cleandoc
+from io import StringIO
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 from sphinx.pycode import ModuleAnalyzer
 
 import deepgps
-from deepgps.commands.main import COMMANDS
+from deepgps.commands.main import COMMANDS, main
 from deepgps.config.methods import METHODS
 from deepgps.config.scenario import Scenario
 from deepgps.robot_io.logs.robot_config import (
@@ -29,9 +29,11 @@ from deepgps.robot_io.logs.robot_config import (
 )
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.study import Study
+from docs.read_code import list_entries
 from sim.settings import Group
 
 ROOT = Path(__file__).parents[1]
+REFERENCE = sorted((ROOT / "docs" / "reference").glob("*.md"))
 Schema = Mapping[str, Any]
 NAMES = {"methods": METHODS, "report": REPORTS}
 """Names that a setting allows, where the JSON schema of the settings does not tell them."""
@@ -46,26 +48,24 @@ ROBOT: Mapping[str, type[Group]] = {
 """Groups of a robot's file; some may be missing in it."""
 COLUMNS = 100
 """Width of the commands' help."""
-IN_MODULES = {
-    "deepgps.viewer.read": ("read_error_table", "read_error_field", "read_entity"),
-    "deepgps.config.scenario": ("load_scenario",),
-    "sim.recording.format": ("open_recording", "Recording", "open_truth", "Truth"),
-}
-"""What the page of the Python API describes while the package itself names nothing."""
 
 
-def fill_in(text: str, page: str = "") -> str:
-    """A page's text with its generated parts and a study's figures; "RMS / median / max" stays on one line."""
-    text += show_figures(page) if page.startswith("results/") else ""
-    text = re.sub(r"(?<=\d) / (?=\d)", "\u00a0/\u00a0", text)
+def fill_in(text: str) -> str:
+    """A page's text with its generated parts as the code is now."""
     parts = {
         "settings": describe_settings,
         "study": describe_study,
         "robot": describe_robot,
         "commands": describe_commands,
         "api": describe_api,
+        "keys": describe_keys,
     }
-    return re.sub(r"^<!-- generated: (\w+) -->.*$", lambda found: parts[found[1]](), text, flags=re.MULTILINE)
+    return re.sub(
+        r"^(<!-- generated: (\w+)([^\n]*?) -->\n).*?(?=<!-- end -->)",
+        lambda found: f"{found[1]}\n{parts[found[2]](*found[3].split())}\n\n",
+        text,
+        flags=re.MULTILINE | re.DOTALL,
+    )
 
 
 def show_figures(page: str) -> str:
@@ -75,28 +75,18 @@ def show_figures(page: str) -> str:
 
 
 def describe_settings() -> str:
-    """Every setting of a scenario: a section for each group."""
-    parts = []
-    for name, group in list_groups(Scenario):
-        if name:
-            parts.append(f"## `{name}`\n\n{_markdown(cleandoc(group.__doc__ or ''))}\n")
-        parts += _describe_fields(group, f"{name}." if name else "")
-    return "\n".join(parts)
+    """Every setting of a scenario: a table for each group."""
+    return _describe_groups(dict(list_groups(Scenario)))
 
 
 def describe_study() -> str:
     """Every key of a study's file."""
-    return "\n".join(_describe_fields(Study, "", "study."))
+    return _describe_groups({"": Study})
 
 
 def describe_robot() -> str:
-    """Every key of a robot's file: a section for each group."""
-    parts = []
-    for name, group in ROBOT.items():
-        if name:
-            parts.append(f"## `{name}`\n\n{_markdown(cleandoc(group.__doc__ or ''))}\n")
-        parts += _describe_fields(group, f"{name}." if name else "", "robot.")
-    return "\n".join(parts)
+    """Every key of a robot's file: a table for each group."""
+    return _describe_groups(ROBOT)
 
 
 def describe_commands() -> str:
@@ -107,13 +97,21 @@ def describe_commands() -> str:
 
 
 def describe_api() -> str:
-    """Directives that describe the package's public objects."""
-    if hasattr(deepgps, "__all__"):
-        return _code(".. automodule:: deepgps\n   :members:", "{eval-rst}")
-    return "\n\n".join(
-        _code(f".. automodule:: {module}\n   :no-index:\n   :members: {', '.join(names)}", "{eval-rst}")
-        for module, names in IN_MODULES.items()
-    )
+    """The package's public names in a list, and the directive by which Sphinx describes them in full."""
+    names = sorted(name for name in deepgps.__all__ if not name.startswith("_"))
+    rows = [(f"[`{name}`](#deepgps.{name})", _summarise(getattr(deepgps, name))) for name in names]
+    full = _code(".. automodule:: deepgps\n   :members:", "{eval-rst}")
+    return f"{_table(('name', 'what'), rows)}\n\n{full}"
+
+
+def describe_keys(*names: str) -> str:
+    """What definitions, ``module:Name`` or ``prefix=module:Name``, put into a file: a table of keys and meanings."""
+    rows: dict[str, list[str]] = {}
+    for name in names:
+        prefix, _, definition = name.rpartition("=")
+        for key, said in list_entries(definition):
+            rows.setdefault(said, []).append(f"`{prefix}{key}`")
+    return _table(("key", "what"), [(", ".join(keys), _markdown(said)) for said, keys in rows.items()])
 
 
 def list_groups(group: type[Group], name: str = "") -> Iterator[tuple[str, type[Group]]]:
@@ -125,17 +123,24 @@ def list_groups(group: type[Group], name: str = "") -> Iterator[tuple[str, type[
 
 
 def read_help(*command: str) -> str:
-    """What ``deepgps COMMAND --help`` prints, without colours.
-
-    In a process of its own, since Sphinx imports modules as a type checker does, after which tyro cannot read them.
-    """
-    words = [sys.executable, "-m", "deepgps.commands.main", *command, "--help"]
-    environment = {**os.environ, "COLUMNS": str(COLUMNS), "NO_COLOR": "1", "PYTHONPATH": str(ROOT)}
-    said = subprocess.run(words, env=environment, check=True, capture_output=True, text=True).stdout
-    return "\n".join(line.rstrip() for line in said.strip().splitlines())
+    """What ``deepgps COMMAND --help`` prints, without colours."""
+    said = StringIO()
+    with patch.dict(os.environ, COLUMNS=str(COLUMNS), NO_COLOR="1"), redirect_stdout(said), suppress(SystemExit):
+        main([*command, "--help"])
+    return "\n".join(line.rstrip() for line in said.getvalue().strip().splitlines())
 
 
-def _describe_fields(group: type[Group], prefix: str, label: str = "") -> Iterator[str]:
+def _describe_groups(groups: Mapping[str, type[Group]]) -> str:
+    parts = []
+    for name, group in groups.items():
+        if name:
+            parts.append(f"## `{name}`\n\n{_markdown(cleandoc(group.__doc__ or ''))}")
+        if rows := list(_describe_fields(group, f"{name}." if name else "")):
+            parts.append(_table(("name", "default; allowed", "what"), rows))
+    return "\n\n".join(parts)
+
+
+def _describe_fields(group: type[Group], prefix: str) -> Iterator[tuple[str, ...]]:
     documented = _read_docstrings(group)
     schema = group.model_json_schema()
     for key, field in group.model_fields.items():
@@ -144,14 +149,19 @@ def _describe_fields(group: type[Group], prefix: str, label: str = "") -> Iterat
         if any("$ref" in one for one in choices) and group is not Study:  # a group, which has a section of its own
             continue
         default = (
-            "none, it must be given"
-            if field.is_required()
-            else f"`{_as_yaml(field.get_default(call_default_factory=True))}`"
+            "it must be given" if field.is_required() else f"`{_as_yaml(field.get_default(call_default_factory=True))}`"
         )
-        yield (
-            f"````{{confval}} {label}{prefix}{key}\n:type: {_name_type(key, details)}\n:default: {default}\n\n"
-            f"{_markdown(documented[key])}\n````\n"
-        )
+        yield f"`{prefix}{key}`", f"{default}; {_name_type(key, details)}", _markdown(documented[key])
+
+
+def _table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    return "\n".join(f"| {' | '.join(row)} |" for row in [headings, ["---"] * len(headings), *rows])
+
+
+def _summarise(thing: object) -> str:
+    """First sentence of a docstring."""
+    text = " ".join(cleandoc(thing.__doc__ or "").partition("\n\n")[0].split())
+    return _markdown(re.split(r"(?<=\.) (?=[A-Z])", text)[0])
 
 
 def _name_type(key: str, schema: Schema) -> str:
@@ -208,9 +218,15 @@ def _read_docstrings(group: type[Group]) -> dict[str, str]:
 
 def _markdown(text: str) -> str:
     """A docstring's text as Markdown: its own characters are not markup, and None is YAML's null."""
-    text = re.sub(r"\bNone\b", "``null``", text)
-    return re.sub(r"(?<!`)([*_<|\[\]$])", r"\\\1", text.replace("``", "`"))
+    parts = re.sub(r"\bNone\b", "``null``", text).replace("``", "`").split("`")
+    parts[::2] = (re.sub(r"[*<|\[\]$]|(?<!\w)_|_(?!\w)", r"\\\g<0>", part) for part in parts[::2])
+    return "`".join(part.replace("|", r"\|") if number % 2 else part for number, part in enumerate(parts))
 
 
 def _code(text: str, language: str = "text") -> str:
-    return f"````{language}\n{text}\n````"
+    return f"```{language}\n{text}\n```"
+
+
+if __name__ == "__main__":
+    for page in REFERENCE:
+        page.write_text(fill_in(page.read_text(encoding="utf-8")), encoding="utf-8")
