@@ -7,7 +7,7 @@ import numpy as np
 
 AlignmentKind = Literal["E2", "SE2"]
 
-OUTLIER = 4.0
+ROBUST_SCALE = 4.0
 """Distance at which a sample counts half in a robust alignment, in medians: of a normal distribution 5 deviations."""
 ROUNDS = 20  # Rounds of the robust alignment; the weights change by less than a thousandth after half of them
 
@@ -65,5 +65,5 @@ def fit_robust_alignment(source: np.ndarray, target: np.ndarray, kind: Alignment
         distance = np.linalg.norm(alignment.apply(source) - target, axis=1)
         if (median := float(np.median(distance))) == 0:
             break
-        alignment = fit_alignment(source, target, kind, 1 / (1 + (distance / (OUTLIER * median)) ** 2))
+        alignment = fit_alignment(source, target, kind, 1 / (1 + (distance / (ROBUST_SCALE * median)) ** 2))
     return alignment

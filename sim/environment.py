@@ -17,7 +17,7 @@ from sim.geometry import planar_pose
 from sim.robot.model import CONTROL_PERIOD_S, WHEELS
 from sim.robot.range_finder import REACH_M
 from sim.robot.world import RoomWorld
-from sim.rooms.spec import PREFIX
+from sim.rooms.spec import ROBOT_PREFIX
 from sim.sensors.camera.fisheye import Fisheye
 from sim.sensors.camera.gl import choose_backend
 from sim.sensors.encoder import Constants, count_ticks, describe_odometry, scale_wheels
@@ -114,7 +114,7 @@ class RoomEnvironment(dm_env.Environment):
 
     def action_spec(self) -> specs.BoundedArray:
         """Wheel speeds (2,) left, right within the motors' limits, if they have any [rad/s]."""
-        motors = [self._world.model.actuator(PREFIX + wheel) for wheel in WHEELS]
+        motors = [self._world.model.actuator(ROBOT_PREFIX + wheel) for wheel in WHEELS]
         limits = np.array([one.ctrlrange if one.ctrllimited[0] else (-np.inf, np.inf) for one in motors])
         return specs.BoundedArray((2,), np.float64, limits[:, 0], limits[:, 1], "wheel_speed")
 

@@ -24,14 +24,14 @@ def one_line(error: BaseException | str) -> str:
     return " ".join(str(error).split()) or type(error).__name__
 
 
-_BRIEF = reprlib.Repr()
-_BRIEF.maxlevel, _BRIEF.maxdict, _BRIEF.maxstring, _BRIEF.maxother = 3, 6, 80, 80
+_SHORT_REPR = reprlib.Repr()
+_SHORT_REPR.maxlevel, _SHORT_REPR.maxdict, _SHORT_REPR.maxstring, _SHORT_REPR.maxother = 3, 6, 80, 80
 
 
 def quote(value: Any, most: int = 80) -> str:
     """The ``repr`` of a value of any size, in at most ``most`` characters."""
     try:
-        return shorten(_BRIEF.repr(value), most)
+        return shorten(_SHORT_REPR.repr(value), most)
     except ValueError:  # Python refuses to format an integer of many thousand digits
         return f"a very long {type(value).__name__}"
 

@@ -29,7 +29,7 @@ class EncoderFault:
 
 ENCODER_FAULTS: dict[str, EncoderFault] = {}
 """Encoder faults of plugins by name: one table, as settings check themselves wherever they are made."""
-HOW_TO_LOAD = "--plugin FILE loads one, in Python plugins=[FILE]"
+LOADING_HINT = "--plugin FILE loads one, in Python plugins=[FILE]"
 MODULE_PREFIX = "deepgps_plugin_"  # Beginning of the names of modules that are plugins
 
 

@@ -13,8 +13,8 @@ from multiprocessing.context import SpawnContext, SpawnProcess
 from multiprocessing.resource_tracker import ensure_running
 from typing import Any
 
-ENDINGS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # The signals that end a command
-OF_A_TERMINAL = (signal.SIGINT, signal.SIGHUP)
+END_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # The signals that end a command
+TERMINAL_SIGNALS = (signal.SIGINT, signal.SIGHUP)
 """Signals that a terminal sends to every process of a command, although only the first should react."""
 
 
@@ -23,7 +23,7 @@ class Worker(SpawnProcess):
 
     def start(self) -> None:
         _start_tracker()
-        with uninterrupted(), _blocked(OF_A_TERMINAL):  # a half-started worker would end with a traceback
+        with uninterrupted(), _blocked(TERMINAL_SIGNALS):  # a half-started worker would end with a traceback
             super().start()
 
     def run(self) -> None:
@@ -81,7 +81,7 @@ def start_process(code: str, words: Sequence[str], handles: Sequence[int]) -> su
         f"from sim.processes import end_with; end_with({os.getpid()}); "
     )
     command = [sys.executable, "-c", first + code, str(len(sys.path)), *sys.path, *words]
-    with uninterrupted(), _blocked(OF_A_TERMINAL):
+    with uninterrupted(), _blocked(TERMINAL_SIGNALS):
         return subprocess.Popen(command, stdin=subprocess.DEVNULL, pass_fds=handles)
 
 
@@ -92,7 +92,7 @@ def uninterrupted() -> Iterator[None]:
         yield
         return
     came: list[int] = []
-    before = {number: signal.signal(number, lambda number, _: came.append(number)) for number in ENDINGS}
+    before = {number: signal.signal(number, lambda number, _: came.append(number)) for number in END_SIGNALS}
     try:
         yield
     finally:

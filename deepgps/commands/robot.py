@@ -34,15 +34,15 @@ def parse_round_image(centre: Centre, radius_px: Radius, forward_deg: Forward) -
         return None
     if centre is None or radius_px is None:
         raise InputError("--centre and --radius-px: give both, or neither")
-    from sim.sensors.camera.unwrap import LARGEST_PX, MOST_DEG, RoundImage
+    from sim.sensors.camera.unwrap import MAX_SIDE_PX, MAX_YAW_DEG, RoundImage
 
-    if not all(0 <= place <= LARGEST_PX for place in centre):
+    if not all(0 <= place <= MAX_SIDE_PX for place in centre):
         written = " ".join(f"{place:g}" for place in centre)
-        raise InputError(f"--centre {written}: must be column and row, each from 0 to {LARGEST_PX} px")
-    if not 1 <= radius_px <= LARGEST_PX:
-        raise InputError(f"--radius-px {radius_px:g}: must be from 1 to {LARGEST_PX} px")
-    if not abs(forward_deg) <= MOST_DEG:  # also refuses NaN
-        raise InputError(f"--forward-deg {forward_deg:g}: must be from -{MOST_DEG} to {MOST_DEG}")
+        raise InputError(f"--centre {written}: must be column and row, each from 0 to {MAX_SIDE_PX} px")
+    if not 1 <= radius_px <= MAX_SIDE_PX:
+        raise InputError(f"--radius-px {radius_px:g}: must be from 1 to {MAX_SIDE_PX} px")
+    if not abs(forward_deg) <= MAX_YAW_DEG:  # also refuses NaN
+        raise InputError(f"--forward-deg {forward_deg:g}: must be from -{MAX_YAW_DEG} to {MAX_YAW_DEG}")
     return RoundImage(centre, radius_px, forward_deg)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from sim.alignment import AlignmentKind
 from sim.errors import InputError
-from sim.plugins import HOW_TO_LOAD
+from sim.plugins import LOADING_HINT
 from sim.recording.manifest import ObservationKind
 
 
@@ -88,7 +88,7 @@ it wherever they are made.
 def find_method(name: str) -> Method:
     """The method of this name; raises InputError if it is a plugin's that is not loaded."""
     if name not in METHODS:
-        raise InputError(f"method {name}: no plugin that is loaded defines it; {HOW_TO_LOAD}")
+        raise InputError(f"method {name}: no plugin that is loaded defines it; {LOADING_HINT}")
     return METHODS[name]
 
 

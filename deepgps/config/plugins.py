@@ -14,7 +14,7 @@ from types import ModuleType
 from deepgps.config.methods import METHODS, Method
 from deepgps.config.scenario import Scenario
 from sim.errors import InputError, quote, read_file, shorten
-from sim.plugins import ENCODER_FAULTS, HOW_TO_LOAD, MODULE_PREFIX, EncoderFault
+from sim.plugins import ENCODER_FAULTS, LOADING_HINT, MODULE_PREFIX, EncoderFault
 from sim.settings import EncoderSettings
 
 NAME = re.compile(r"[a-z][a-z0-9_]{0,40}")
@@ -61,7 +61,7 @@ def check_plugins(scenario: Scenario) -> None:
     }
     for name, is_loaded in missing.items():
         if not is_loaded:
-            raise InputError(f"{name}: no plugin that is loaded defines it; {HOW_TO_LOAD}")
+            raise InputError(f"{name}: no plugin that is loaded defines it; {LOADING_HINT}")
 
 
 def _import(path: Path, name: str) -> ModuleType:

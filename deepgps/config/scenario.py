@@ -25,7 +25,7 @@ from deepgps.config.setting_problems import DEEPEST, describe_first, describe_pr
 from deepgps.config.spelling import as_key, find_like, suggest
 from sim.errors import InputError, quote, shorten
 from sim.files import SCENARIOS
-from sim.plugins import ENCODER_FAULTS, HOW_TO_LOAD
+from sim.plugins import ENCODER_FAULTS, LOADING_HINT
 from sim.recording.manifest import ObservationKind, name_sensors
 from sim.settings import SimSettings
 from sim.settings.group import Seed
@@ -35,7 +35,7 @@ STORED = "stored"
 
 
 def _check_method(name: str, info: ValidationInfo) -> str:
-    return name if info.context == STORED else check_name(name, METHODS, f"; {HOW_TO_LOAD}")
+    return name if info.context == STORED else check_name(name, METHODS, f"; {LOADING_HINT}")
 
 
 MethodName = Annotated[str, AfterValidator(_check_method)]
@@ -64,7 +64,7 @@ class Scenario(SimSettings):
     def _plugins_define_the_faults(self, info: ValidationInfo) -> "Scenario":
         for name, strength in self.encoder.plugins.items():
             if name not in ENCODER_FAULTS and info.context != STORED:
-                raise ValueError(f"encoder.plugins.{shorten(name)} {strength:g}: no such fault; {HOW_TO_LOAD}")
+                raise ValueError(f"encoder.plugins.{shorten(name)} {strength:g}: no such fault; {LOADING_HINT}")
         return self
 
     @field_validator("methods")

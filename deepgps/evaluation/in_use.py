@@ -14,15 +14,15 @@ from deepgps.positioner.positioner import FeaturePositioner, Positioner
 from deepgps.tracking.causes import name_causes
 from sim.alignment import Alignment
 from sim.errors import InputError, WorkError
-from sim.recording.format import OF_USE, Recording, open_recording, open_truth
-from sim.recording.manifest import FOLDER as IN_USE
+from sim.recording.format import DEPLOYMENT_MANIFEST, Recording, open_recording, open_truth
+from sim.recording.manifest import DEPLOYMENT_FOLDER
 
 
 def open_drive_in_use(recording: Recording) -> Recording | None:
     """The recording of the drive in use; None if there is none."""
-    if OF_USE not in recording.manifest.sha256:
+    if DEPLOYMENT_MANIFEST not in recording.manifest.sha256:
         return None
-    return open_recording(recording.folder / IN_USE)
+    return open_recording(recording.folder / DEPLOYMENT_FOLDER)
 
 
 def adapt(positioner: Positioner, drive: Recording | None) -> tuple[Positioner, dict[str, float]]:

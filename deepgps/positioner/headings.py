@@ -16,8 +16,8 @@ from scipy import fft
 from scipy.spatial import KDTree
 
 from sim.geometry import wrap
-from sim.sensors.compass import LEAST_CONTRAST, MATCH_FLOOR, find_highest
-from sim.sensors.compass_fit import CUTOFF, SMOOTH
+from sim.sensors.compass import MATCH_FLOOR, MIN_CONTRAST, find_highest
+from sim.sensors.compass_fit import CUTOFF, HIGH_PASS_CYCLES
 
 RINGS, FREQUENCIES = 8, 32  # Rings that the table keeps, each the mean of some of the image's, and cycles per turn
 FINE = 512  # Samples of the correlation in a turn
@@ -142,7 +142,7 @@ def take_phases(images: np.ndarray) -> np.ndarray:
     found = np.asarray(fft.rfft(np.moveaxis(pooled, 3, 1)))[..., 1 : len(passed) + 1]
     found = found * (passed * np.sqrt(np.arange(pooled.shape[1]) + 0.5)[:, None]).astype(np.float32)
     size = np.square(pooled).sum(axis=(1, 2, 3)) * sectors  # not exactly the energy, but of its order
-    blank = np.square(np.abs(found)).sum(axis=(1, 2, 3)) <= LEAST_CONTRAST * size
+    blank = np.square(np.abs(found)).sum(axis=(1, 2, 3)) <= MIN_CONTRAST * size
     found[blank] = 0.0
     return _normalise(found.reshape(len(images), -1, len(passed)))
 
@@ -170,7 +170,7 @@ def choose_parts(size: int, count: int) -> np.ndarray:
 def filter_frequencies(sectors: int) -> np.ndarray:
     """Factor of each frequency that the table keeps, from one cycle per turn on."""
     frequency = np.arange(1, min(FREQUENCIES, sectors // 2 - 1) + 1)
-    return np.exp(-((frequency / (CUTOFF * sectors)) ** 2)) * frequency / (frequency + SMOOTH)
+    return np.exp(-((frequency / (CUTOFF * sectors)) ** 2)) * frequency / (frequency + HIGH_PASS_CYCLES)
 
 
 def correlate(known: np.ndarray, phases: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -10,7 +10,7 @@ from deepgps.data.features import PRODUCT_FLOOR, Features, make_waves
 from deepgps.positioner import confidence, headings
 from deepgps.positioner.positioner import NetworkPositioner
 from sim.alignment import Alignment
-from sim.sensors.compass import LEAST_CONTRAST, MATCH_FLOOR
+from sim.sensors.compass import MATCH_FLOOR, MIN_CONTRAST
 
 
 class FoundYaw(NamedTuple):
@@ -54,7 +54,7 @@ class YawModule(nn.Module):
         pooled = self.pool @ image.permute(0, 3, 1, 2)
         found = pooled @ self.wave * self.loud
         energy = found.square().sum(dim=(1, 2, 3))
-        blank = energy <= LEAST_CONTRAST * self.sectors * pooled.square().sum(dim=(1, 2, 3))
+        blank = energy <= MIN_CONTRAST * self.sectors * pooled.square().sum(dim=(1, 2, 3))
         found = torch.where(blank[:, None, None, None], torch.zeros_like(found), found).flatten(1, 2)
         return _normalise(found), blank
 

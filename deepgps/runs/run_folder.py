@@ -14,7 +14,7 @@ from deepgps.runs.owned_folder import COMPLETE, FRESH, Kind, choose_place, disca
 from sim.errors import DamagedError, InputError
 from sim.files.atomic import remove_empty, remove_files, sweep
 from sim.files.checksums import check_lines, write_lines
-from sim.recording.format import COLLECTING, RECORDING, is_whole
+from sim.recording.format import RECORDING, WORK_PATH, is_whole
 
 TRAINED_FILES = r"positioner\.json|training\.json|weights\.safetensors|history\.npz|map\.npz|checkpoint\.pt"
 METRICS, WITHOUT_TRUTH = "metrics.json", "without_truth.json"
@@ -36,7 +36,7 @@ def _make_pattern(known: tuple[str, ...]) -> re.Pattern[str]:
         rf"|(run|recording|pairs/[0-9a-f]{{12}})\.rrd(\.sha256)?|figures/(error_fields|error_cdf|risk_coverage|drive|training)\.png"
         rf"|figures/error_field_({methods})\.png|tracking/({methods})(-[0-9a-f]{{8}})?\.(npz|json|png)"
         # a study's run has a link in place of a recording
-        rf"|recording|recording/({RECORDING.pattern})|recording\.collecting/({COLLECTING.pattern})"
+        rf"|recording|recording/({RECORDING.pattern})|recording\.collecting/({WORK_PATH.pattern})"
     )
 
 

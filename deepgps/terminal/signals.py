@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from multiprocessing import active_children
 from types import FrameType
 
-from sim.processes import ENDINGS
+from sim.processes import END_SIGNALS
 
 PATIENCE_S = 2.0
 """Time for cleaning up after which a further signal ends the process at once; every file is intact at any time."""
@@ -22,7 +22,7 @@ class Stopped(KeyboardInterrupt):
 
 def leave_at_signals() -> None:
     """From now on, end the process at once at a signal; a signal that is ignored, as under nohup, stays ignored."""
-    for number in ENDINGS:
+    for number in END_SIGNALS:
         if signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, _leave)
 
@@ -30,7 +30,7 @@ def leave_at_signals() -> None:
 def stop_at_signals() -> None:
     """From now on, raise ``Stopped`` in the main thread at a signal that ``leave_at_signals`` handled before."""
     stop = Stop()
-    for number in ENDINGS:
+    for number in END_SIGNALS:
         if signal.getsignal(number) == _leave:
             signal.signal(number, stop)
             sys.unraisablehook = _report_unraisable
@@ -39,7 +39,7 @@ def stop_at_signals() -> None:
 def ignore_signals() -> int | None:
     """From now on, ignore signals that would end the process; return the number of the one received before, if any."""
     came = None
-    for number in ENDINGS:
+    for number in END_SIGNALS:
         stop = signal.getsignal(number)
         if isinstance(stop, Stop):
             signal.signal(number, signal.SIG_IGN)

@@ -21,15 +21,15 @@ from sim.apriltag.tag_tree import chain_tags, make_pose, place_corners
 from sim.errors import WorkError
 from sim.files.checksums import write_array, write_arrays
 
-SMALLEST_PX = 12.0
+MIN_TAG_PX = 12.0
 """Detections of tags smaller than this, by the root of the area, are not used: their corners blur together."""
-MOST_VIEWS = 400  # Views used in bundle adjustment, at most; all views are solved afterwards
-LEAST_TAGS = 2  # Tags that a view must show, at least: from a single tag its pose has two candidates
-WRONG_PX = 3.0  # A tag whose RMS error in a solved view is larger than this [px] is treated as an outlier
-NOISE_PX, UNSURE_M = 0.2, 0.03
+MAX_VIEWS = 400  # Views used in bundle adjustment, at most; all views are solved afterwards
+MIN_TAGS = 2  # Tags that a view must show, at least: from a single tag its pose has two candidates
+OUTLIER_PX = 3.0  # A tag whose RMS error in a solved view is larger than this [px] is treated as an outlier
+NOISE_PX, MAX_POSITION_STD_M = 0.2, 0.03
 """Expected standard deviation of corners [px], and largest standard deviation of a view's position from it [m]."""
-SCALE_PX = 0.5  # Error at which the robust loss of bundle adjustment changes from quadratic to linear [px]
-STEPS, ENOUGH = 100, 1e-10  # Largest number of bundle adjustment steps, and the relative gain in cost at which it ends
+ROBUST_SCALE_PX = 0.5  # Error at which the robust loss of bundle adjustment changes from quadratic to linear [px]
+MAX_STEPS, MIN_RELATIVE_GAIN = 100, 1e-10  # Bundle adjustment ends at this relative gain in cost
 
 
 class TagMap(NamedTuple):
@@ -47,14 +47,14 @@ def reconstruct(detections: Detections, camera: np.ndarray) -> TagMap:
     detections = _large(detections)
     rough = TagMap(*chain_tags(detections, camera))
     known = detections.of(np.isin(detections.tag, rough.tag))
-    view, pose = solve_views(known, rough, camera, WRONG_PX * 20)  # the rough map has errors of centimetres
+    view, pose = solve_views(known, rough, camera, OUTLIER_PX * 20)  # the rough map has errors of centimetres
     counts = np.array([np.count_nonzero(known.view == number) for number in view])
-    chosen = np.sort(np.argsort(-counts, kind="stable")[:MOST_VIEWS])
+    chosen = np.sort(np.argsort(-counts, kind="stable")[:MAX_VIEWS])
     return adjust(known, rough, view[chosen], pose[chosen], camera)
 
 
 def solve_views(
-    detections: Detections, tags: TagMap, camera: np.ndarray, wrong_px: float = WRONG_PX
+    detections: Detections, tags: TagMap, camera: np.ndarray, wrong_px: float = OUTLIER_PX
 ) -> tuple[np.ndarray, np.ndarray]:
     """Views (V,) that could be solved, and each one's pose ``T_map_camera`` (V, 4, 4), by all placed tags that fit."""
     detections = _large(detections)
@@ -79,9 +79,9 @@ def adjust(detections: Detections, tags: TagMap, view: np.ndarray, view_pose: np
     t, v = np.searchsorted(tags.tag, used.tag), np.searchsorted(view, used.view)
     tag_pose, camera_map, damping = tags.pose, np.linalg.inv(view_pose), 1e-3
     error = _project(place_corners(tag_pose)[t], camera_map[v], camera) - used.corner
-    for _ in range(STEPS):
+    for _ in range(MAX_STEPS):
         slope = _slope(tag_pose, camera_map, t, v, camera)
-        weight = 1.0 / np.sqrt(1.0 + (error**2).sum(axis=2) / SCALE_PX**2)
+        weight = 1.0 / np.sqrt(1.0 + (error**2).sum(axis=2) / ROBUST_SCALE_PX**2)
         weighted = slope.multiply(np.repeat(weight.ravel(), 2)[:, None]).tocsc()
         normal, pull = (slope.T @ weighted).tocsc(), weighted.T @ error.ravel()
         step = -splu(normal + damping * diags_array(normal.diagonal() + 1e-9, format="csc")).solve(pull)
@@ -93,14 +93,14 @@ def adjust(detections: Detections, tags: TagMap, view: np.ndarray, view_pose: np
         damping = damping / 5.0 if gain > 0 else damping * 5.0
         if gain > 0:
             tag_pose, camera_map, error = new_pose, new_map, new_error
-        if abs(gain) <= ENOUGH * _cost(error):
+        if abs(gain) <= MIN_RELATIVE_GAIN * _cost(error):
             break
     return TagMap(tags.tag, tag_pose)
 
 
 def _cost(error: np.ndarray) -> float:
     """Return the cost that bundle adjustment minimises, for errors (S, 4, 2) [px]."""
-    return float(2 * SCALE_PX**2 * (np.sqrt(1.0 + (error**2).sum(axis=2) / SCALE_PX**2) - 1.0).sum())
+    return float(2 * ROBUST_SCALE_PX**2 * (np.sqrt(1.0 + (error**2).sum(axis=2) / ROBUST_SCALE_PX**2) - 1.0).sum())
 
 
 def _slope(tag_pose: np.ndarray, camera_map: np.ndarray, t: np.ndarray, v: np.ndarray, camera: np.ndarray) -> csc_array:
@@ -136,12 +136,12 @@ def _cross(point: np.ndarray) -> np.ndarray:
 
 
 def _large(detections: Detections) -> Detections:
-    return detections.of(measure_size(detections) >= SMALLEST_PX)
+    return detections.of(measure_size(detections) >= MIN_TAG_PX)
 
 
 def _solve_view(corners: np.ndarray, seen: np.ndarray, camera: np.ndarray, wrong_px: float) -> np.ndarray | None:
     """Return ``T_map_camera`` from corners (n, 4, 3) seen at (n, 4, 2), dropping the worst tags, or None."""
-    while len(corners) >= LEAST_TAGS:
+    while len(corners) >= MIN_TAGS:
         places, pixels = corners.reshape(-1, 3), seen.reshape(-1, 2)
         good, turn, place = cv2.solvePnP(places, pixels, camera, None, flags=cv2.SOLVEPNP_SQPNP)
         if not good:
@@ -151,7 +151,7 @@ def _solve_view(corners: np.ndarray, seen: np.ndarray, camera: np.ndarray, wrong
         error = _project(corners, np.broadcast_to(pose, (len(corners), 4, 4)), camera) - seen
         off = np.sqrt((error**2).sum(axis=2).mean(axis=1))
         if off.max() <= wrong_px:
-            return np.linalg.inv(pose) if _unsure(corners, pose, camera) <= UNSURE_M else None
+            return np.linalg.inv(pose) if _unsure(corners, pose, camera) <= MAX_POSITION_STD_M else None
         kept = np.arange(len(off)) != off.argmax()
         corners, seen = corners[kept], seen[kept]
     return None

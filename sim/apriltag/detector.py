@@ -16,9 +16,9 @@ PLATE_M = SIDE_M * (MODULES + 2) / MODULES
 """Side of the white plate, which has a margin of one module around the black square [m]."""
 CORNERS = SIDE_M / 2 * np.array([[-1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [-1.0, -1.0, 0.0]])
 """Corners of the black square in the tag's frame (4, 3) [m]."""
-EDGE_POINTS, WITHIN = 12, (0.12, 0.88)
+EDGE_POINTS, EDGE_SPAN = 12, (0.12, 0.88)
 """Points on a side at which its edge is searched, and the part of the side that they cover."""
-STEPS, REACH_PX, ROUNDS = 13, (1.5, 4.0), 2
+EDGE_SAMPLES, REACH_PX, ROUNDS = 13, (1.5, 4.0), 2
 """Samples across an edge, least and greatest reach to either side [px], and number of line fits."""
 _FAMILY = cv2.aruco.DICT_APRILTAG_36h11
 _MODULE_PX = 16
@@ -77,10 +77,10 @@ def refine(image: np.ndarray, corner: np.ndarray) -> np.ndarray:
         side = np.linalg.norm(along, axis=2, keepdims=True)
         out = np.stack([along[..., 1], -along[..., 0]], axis=2) / side
         reach = np.clip(side / MODULES, *REACH_PX)
-        point = corner[:, :, None] + np.linspace(*WITHIN, EDGE_POINTS)[:, None] * along[:, :, None]
-        offset = np.linspace(-1.0, 1.0, STEPS) * reach
+        point = corner[:, :, None] + np.linspace(*EDGE_SPAN, EDGE_POINTS)[:, None] * along[:, :, None]
+        offset = np.linspace(-1.0, 1.0, EDGE_SAMPLES) * reach
         place = (point[:, :, :, None] + offset[:, :, None, :, None] * out[:, :, None, None]).astype(np.float32)
-        flat = place.reshape(-1, EDGE_POINTS * STEPS, 2)
+        flat = place.reshape(-1, EDGE_POINTS * EDGE_SAMPLES, 2)
         value = cv2.remap(image, flat[..., 0], flat[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         rise = np.diff(value.reshape(place.shape[:-1]).astype(float), axis=3).clip(0.0) ** 2 + 1e-9
         between = (offset[..., 1:] + offset[..., :-1])[:, :, None] / 2

@@ -16,11 +16,11 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components, mini
 from sim.apriltag.detector import CORNERS, Detections, measure_size
 from sim.errors import WorkError
 
-PAIR_VIEWS = 24  # Views in which two tags are compared, at most: those where the tags are largest
-UNLIKE_M = 0.3  # Pairs of candidates farther apart than this [m] all count as equally wrong
-LEAST_VIEWS = 3  # Views that must show two tags together, at least
-AGREE_M = 0.3  # A step agrees with a map if either tag is less than this [m] from where the step from the other puts it
-CONTESTED, TRIED = 0.7, 50
+MAX_PAIR_VIEWS = 24  # Views in which two tags are compared, at most: those where the tags are largest
+MAX_PAIR_ERROR_M = 0.3  # Pairs of candidates farther apart than this [m] all count as equally wrong
+MIN_SHARED_VIEWS = 3  # Views that must show two tags together, at least
+AGREEMENT_M = 0.3  # A step agrees with a map that has either tag this near to where it puts the tag [m]
+MIN_CUT_AGREEMENT, MAX_ALTERNATIVES = 0.7, 50
 """Share of the steps across a cut below which the step of the tree is voted on, and how many others are tried."""
 
 
@@ -62,9 +62,9 @@ def vote(steps: Steps, tree: np.ndarray) -> np.ndarray:
             rest = tree[tree != own]
             number, across = _cut(steps, rest, len(pose))
             agreeing = _agree_with(pose[across.first], pose[across.second], across.step).sum()
-            if agreeing >= CONTESTED * len(number):
+            if agreeing >= MIN_CUT_AGREEMENT * len(number):
                 continue
-            tried = np.argsort(across.cost, kind="stable")[:TRIED]
+            tried = np.argsort(across.cost, kind="stable")[:MAX_ALTERNATIVES]
             first, second, step, _ = (values[tried] for values in across)
             motion = pose[first] @ step @ np.linalg.inv(pose[second])
             moved = motion[:, None] @ pose[across.second]
@@ -85,11 +85,11 @@ def _measure_steps(detections: Detections, tag: np.ndarray, camera: np.ndarray) 
     order = np.lexsort((-np.minimum(size[first], size[second]), key))
     found = []
     for group in np.split(order, np.flatnonzero(np.diff(key[order])) + 1):
-        if len(group) >= LEAST_VIEWS:
-            a, b = first[group[:PAIR_VIEWS]], second[group[:PAIR_VIEWS]]
+        if len(group) >= MIN_SHARED_VIEWS:
+            a, b = first[group[:MAX_PAIR_VIEWS]], second[group[:MAX_PAIR_VIEWS]]
             found.append((tag[a[0]], tag[b[0]], *_agree(candidate[a], candidate[b])))
     if not found:
-        raise WorkError(f"labels: no two tags are seen together in {LEAST_VIEWS} views, so none can be placed")
+        raise WorkError(f"labels: no two tags are seen together in {MIN_SHARED_VIEWS} views, so none can be placed")
     return Steps(*(np.array(part) for part in zip(*found, strict=True)))
 
 
@@ -134,7 +134,7 @@ def _agree_with(first: np.ndarray, second: np.ndarray, step: np.ndarray) -> np.n
     mapped = np.linalg.inv(first) @ second
     pairs = ((mapped, step), (np.linalg.inv(mapped), np.linalg.inv(step)))
     apart = [np.linalg.norm(place_corners(one) - place_corners(other), axis=-1).mean(axis=-1) for one, other in pairs]
-    return np.maximum(*apart) < AGREE_M
+    return np.maximum(*apart) < AGREEMENT_M
 
 
 def _together(view: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -151,7 +151,7 @@ def _agree(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, float]:
     steps = (np.linalg.inv(first)[:, :, None] @ second[:, None]).reshape(len(first), 4, 4, 4)
     corners = np.nan_to_num(place_corners(steps), nan=1e3).reshape(len(first), 4, 12)  # NaN: a tag seen upright
     apart = np.linalg.norm(corners.reshape(-1, 1, 1, 12) - corners, axis=-1).min(axis=2)
-    cost = np.minimum(apart, UNLIKE_M).mean(axis=1)
+    cost = np.minimum(apart, MAX_PAIR_ERROR_M).mean(axis=1)
     best = int(cost.argmin())
     return steps.reshape(-1, 4, 4)[best], float(cost[best])
 

@@ -16,9 +16,9 @@ from pathlib import Path
 from sim.errors import InputError, WorkError
 
 PART = ".deepgps-part"  # Suffix of files and folders that are being written: ``<name>.<process>.deepgps-part``
-_WRITING = re.compile(rf"\.\d+{re.escape(PART)}(?=/|$)")
+_PART_NAME = re.compile(rf"\.\d+{re.escape(PART)}(?=/|$)")
 NO_SPACE = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
-PROBE = 1 << 20
+PROBE_BYTES = 1 << 20
 """Bytes per block, and the fewest in all, that are appended to a file to find out whether the disk is full."""
 
 
@@ -38,7 +38,7 @@ def write_atomic(path: Path, write: Callable[[Path], object], size: int = 0) -> 
         _sync_folder(path.parent)
     except BaseException as error:  # Ctrl-C too
         there = part.stat().st_size if part.is_file() else 0
-        lack = _find_lack(part, error, max(size - there, PROBE))
+        lack = _find_lack(part, error, max(size - there, PROBE_BYTES))
         with suppress(OSError):
             part.unlink()
         if lack:
@@ -113,8 +113,8 @@ def _find_lack(part: Path, error: BaseException, size: int) -> OSError | None:
         return error if error.errno in NO_SPACE else None
     try:
         with part.open("ab") as file:
-            for _ in range(0, size, PROBE):
-                file.write(bytes(PROBE))
+            for _ in range(0, size, PROBE_BYTES):
+                file.write(bytes(PROBE_BYTES))
     except OSError as found:
         return found if found.errno in NO_SPACE else None
     return None
@@ -188,7 +188,7 @@ def list_files(folder: Path, ours: re.Pattern[str], parts_only: bool = False) ->
         links = [name for name in folders if (here / name).is_symlink()]
         for name in [*names, *links]:
             inside = (here / name).relative_to(folder).as_posix()
-            whole = _WRITING.sub("", inside)
+            whole = _PART_NAME.sub("", inside)
             if ours.fullmatch(whole) and (whole != inside or not parts_only):
                 found.append(here / name)
     return found

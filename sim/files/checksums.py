@@ -25,7 +25,7 @@ from sim.files.atomic import NO_SPACE, write_atomic, write_bytes, write_text
 log = logging.getLogger(__name__)
 SUM, CHECKSUM = ".sha256", "checksum"  # Suffix of a file of a checksum, and the key of the checksum in JSON
 FORMAT = 2  # Number of the format of recordings, runs and studies; format 1 is that of deepgps 0.1.0
-LINES = f"# deepgps format {FORMAT}; sha256 of the lines below: "
+HEADER_START = f"# deepgps format {FORMAT}; sha256 of the lines below: "
 
 
 def damaged(path: Path, reason: str = "it differs from its checksum") -> DamagedError:
@@ -51,7 +51,7 @@ def check_sha256(path: Path, expected: str) -> None:
 
 def write_lines(path: Path, text: str) -> None:
     """Write a text file, such as YAML, with its checksum in a comment in the first line."""
-    write_text(path, f"{LINES}{hashlib.sha256(text.encode()).hexdigest()}\n{text}")
+    write_text(path, f"{HEADER_START}{hashlib.sha256(text.encode()).hexdigest()}\n{text}")
 
 
 def check_lines(path: Path) -> None:
@@ -62,7 +62,7 @@ def check_lines(path: Path) -> None:
     head, _, text = path.read_bytes().partition(b"\n")
     if head.startswith(b"# sha256") or not head.startswith(b"#"):
         raise refuse_format(path)
-    if head.decode(errors="replace").removeprefix(LINES) != hashlib.sha256(text).hexdigest():
+    if head.decode(errors="replace").removeprefix(HEADER_START) != hashlib.sha256(text).hexdigest():
         raise damaged(path)
 
 

@@ -34,7 +34,7 @@ from sim.settings import TURN_RATE_RPS, SimSettings
 
 WHEEL_RADIUS_M, TRACK_M = 0.033, 0.16
 """Nominal wheels that convert a distance travelled to ticks: those of a TurtleBot3 Burger."""
-LEAST_STEPS = 3  # A heading that meets a wall in fewer steps than this is drawn again
+MIN_STEPS = 3  # A heading that meets a wall in fewer steps than this is drawn again
 TRIES = 10_000  # Draws of a heading before the robot is taken to be stuck
 World = LandmarkWorld | LidarWorld
 
@@ -144,7 +144,7 @@ def drive_segments(world: World, settings: SimSettings, rng: np.random.Generator
 def choose_heading(
     world: World, place: np.ndarray, spacing_m: float, longest_m: float, rng: np.random.Generator
 ) -> tuple[float, int]:
-    """Draw a heading [rad], uniform among those with LEAST_STEPS clear spacings or more, and count them.
+    """Draw a heading [rad], uniform among those with MIN_STEPS clear spacings or more, and count them.
 
     Raises WorkError if no such heading is found.
     """
@@ -152,12 +152,12 @@ def choose_heading(
         heading = rng.uniform(-np.pi, np.pi)
         # A place at the wall may be beyond it by a rounding error.
         steps = int(min(world.way_ahead(place, heading), longest_m) / spacing_m + 1e-9)
-        if steps >= LEAST_STEPS:
+        if steps >= MIN_STEPS:
             return heading, steps
     x, y = place
     raise WorkError(
         f"drive.spacing_m {spacing_m} m must be smaller: from ({x:.2f}, {y:.2f}) m, where the robot came, "
-        f"no heading of {TRIES} leads {LEAST_STEPS} spacings ahead"
+        f"no heading of {TRIES} leads {MIN_STEPS} spacings ahead"
     )
 
 

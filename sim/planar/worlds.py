@@ -82,12 +82,12 @@ class LandmarkWorld:
 
 
 OBSTACLES = 20  # Rectangles to place; they may overlap, or leave passages
-SMALLEST, LARGEST = 0.03, 0.2  # Shortest and longest side of an obstacle, as fractions of the square's side
-PASSAGE, TRIES = 0.06, 100
+MIN_OBSTACLE_SIDE, MAX_OBSTACLE_SIDE = 0.03, 0.2  # As fractions of the square's side
+MIN_PASSAGE, TRIES = 0.06, 100
 """Smallest width of a passage between two obstacles, as a fraction of the square's side; draws per obstacle."""
 CELLS, PLACES = 200, 16
 """Cells of the free space along a side, and places whose rays are cast at once: few enough for a processor's cache."""
-_TINY = 1e-9
+_EPSILON = 1e-9
 
 
 class LidarWorld:
@@ -172,11 +172,11 @@ def place_obstacles(count: int, rng: np.random.Generator) -> np.ndarray:
     placed = np.empty((0, 2, 2))
     for _ in range(count):
         for _ in range(TRIES):
-            middle, size = rng.uniform(-0.5, 0.5, 2), rng.uniform(SMALLEST, LARGEST, 2)
+            middle, size = rng.uniform(-0.5, 0.5, 2), rng.uniform(MIN_OBSTACLE_SIDE, MAX_OBSTACLE_SIDE, 2)
             box = np.stack([middle - size / 2, middle + size / 2])
             apart = np.maximum(placed[:, 0] - box[1], box[0] - placed[:, 1]).max(axis=1)
             gaps = np.concatenate([apart, box[0] + 0.5, 0.5 - box[1]])
-            if not ((gaps > 0) & (gaps < PASSAGE)).any():
+            if not ((gaps > 0) & (gaps < MIN_PASSAGE)).any():
                 placed = np.concatenate([placed, box[None]])
                 break
     return placed
@@ -206,7 +206,7 @@ def cast_rays(box: np.ndarray, bounds: np.ndarray, place: np.ndarray, angle: np.
         one, other = (low[:, None] - place.T)[..., None] * per_metre, (high[:, None] - place.T)[..., None] * per_metre
         enter = np.minimum(one, other).max(axis=0)
         leave = np.maximum(one, other).min(axis=0)
-        met = (enter <= leave) & (leave > _TINY)
+        met = (enter <= leave) & (leave > _EPSILON)
         np.minimum(nearest, enter.clip(0.0), out=nearest, where=met)
     return nearest
 

@@ -14,7 +14,7 @@ from sim.apriltag.detector import Detections
 from sim.errors import DamagedError
 from sim.files.checksums import read_arrays, write_array, write_blocks
 from sim.geometry import planar_pose
-from sim.recording.chunks import DIFFERED, IMAGE, RENDERER, TWICE, part_files
+from sim.recording.chunks import DIFFERENCES, IMAGE, RENDERER, REPEATS, part_files
 from sim.recording.format import grid_file, measure_driven, observation_file, stamp, time_file, turn_file
 from sim.recording.turns import FILE as TURNS
 from sim.recording.turns import count_images, list_turns, lose_turns
@@ -23,7 +23,7 @@ from sim.sensors.catalog import SENSORS, Measure, Measures, list_kept, load
 from sim.sensors.encoder import read_encoders
 from sim.settings import SimSettings
 
-JOINED = ("state", "segment", "observation", "wheel_angle", "time", "turn_kind")
+SERIES = ("state", "segment", "observation", "wheel_angle", "time", "turn_kind")
 log = logging.getLogger(__name__)
 
 
@@ -49,7 +49,7 @@ def write_drive(
     """
     samples = settings.drive.samples
     joined = {
-        name: np.concatenate([chunk[name] for chunk in drive.chunks]) for name in drive.chunks[0] if name in JOINED
+        name: np.concatenate([chunk[name] for chunk in drive.chunks]) for name in drive.chunks[0] if name in SERIES
     }
     kept = joined["observation"] < samples
     segment, angle = joined["segment"][kept], joined["wheel_angle"][kept]
@@ -160,8 +160,8 @@ def count_drawn(settings: SimSettings, parts: Sequence[Path]) -> dict[str, Any]:
     for path in parts:
         stored = [read_part(file) for file in part_files(settings, path).values()]
         counts["gl_renderer"] = stored[0][RENDERER].item()  # of the sensor from which methods learn
-        counts["images_drawn_twice"] += sum(int(one[TWICE]) for one in stored)
-        counts["images_that_differed"] += sum(int(one[DIFFERED]) for one in stored)
+        counts["images_drawn_twice"] += sum(int(one[REPEATS]) for one in stored)
+        counts["images_that_differed"] += sum(int(one[DIFFERENCES]) for one in stored)
     return counts
 
 

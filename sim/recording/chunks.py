@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from sim.files.checksums import write_arrays
-from sim.recording.manifest import STATES
+from sim.recording.manifest import LIGHT_STATES
 from sim.recording.renderers import Part, UnsteadyError
 from sim.recording.turns import KINDS
 from sim.robot.drive import DriveMode, Segment, next_segment
@@ -83,7 +83,7 @@ def _number(segment: Segment, number: int, observations: int) -> dict[str, np.nd
     }
 
 
-IMAGE, RENDERER, TWICE, DIFFERED = "image", "renderer", "drawn_twice", "differed"
+IMAGE, RENDERER, REPEATS, DIFFERENCES = "image", "renderer", "drawn_twice", "differed"
 """Names of the arrays in a part's files."""
 Beat = Callable[[], None]  # Signals that the work continues
 
@@ -104,7 +104,7 @@ def sense_part(part: Part, beat: Beat) -> None:
         kept = {IMAGE: seen} if sensor.kept(part.settings) else {}
         found = vars(load(sensor.extract)(seen)) if sensor.extract else {}
         renderer = np.array(open_sensors(part.settings)[name].renderer)  # pyright: ignore[reportArgumentType]
-        counts = {TWICE: np.array(sensor.renders + part.differed), DIFFERED: np.array(part.differed)}
+        counts = {REPEATS: np.array(sensor.renders + part.differed), DIFFERENCES: np.array(part.differed)}
         write_arrays(path, {**kept, **found, RENDERER: renderer, **counts})
 
 
@@ -139,7 +139,7 @@ def _draw_again(name: str, part: Part, path: Path, images: np.ndarray, beat: Bea
         raise UnsteadyError(f"{path}: image {again} of {count} was drawn twice and came out different")
 
 
-@lru_cache(maxsize=len(STATES))
+@lru_cache(maxsize=len(LIGHT_STATES))
 def open_sensors(settings: SimSettings) -> dict[str, Opened]:
     """The sensors that the robot carries, opened once per worker process, since a context belongs to its process.
 

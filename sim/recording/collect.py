@@ -32,9 +32,18 @@ from sim.recording.assemble import (
 )
 from sim.recording.chunks import CHUNK, drive_chunk, part_files, sense_part
 from sim.recording.derive import link_training
-from sim.recording.format import COLLECTING, OWN, PART, RECORDING, Report, chunk_files, finish_recording, work_folder
-from sim.recording.manifest import FOLDER as IN_USE
+from sim.recording.format import (
+    OWN_PATH,
+    PART,
+    RECORDING,
+    WORK_PATH,
+    Report,
+    chunk_files,
+    finish_recording,
+    work_folder,
+)
 from sim.recording.manifest import (
+    DEPLOYMENT_FOLDER,
     NO_TESTS,
     PACKAGES,
     choose_drive_in_use,
@@ -53,7 +62,7 @@ from sim.sensors.catalog import SENSORS, list_kept
 from sim.sensors.encoder import describe_odometry
 from sim.settings import DeploymentSettings, SimSettings
 
-ROUNDED = 1e-6
+ROUNDING_TOLERANCE = 1e-6
 """How far outside the free space a position of the test grid may be, as a part of its spacing: sums are rounded."""
 TRIES = 3  # Attempts at assembling a recording when a part turns out to be damaged
 log = logging.getLogger(__name__)
@@ -104,10 +113,10 @@ def collect(
     start = time.perf_counter()
     work = work_folder(folder)
     if (folder / "manifest.json").is_file():
-        remove_files(work, COLLECTING)  # a process was killed just before it removed them
+        remove_files(work, WORK_PATH)  # a process was killed just before it removed them
         return
     if folder.is_dir():  # what is there was left by a killed process, or is about to be rewritten
-        remove_files(folder, OWN if settings.deployment.drive_samples else RECORDING)
+        remove_files(folder, OWN_PATH if settings.deployment.drive_samples else RECORDING)
     work.mkdir(parents=True, exist_ok=True)
     taught = settings.model_copy(update={"deployment": DeploymentSettings()})  # the room as it is in training
     world = RoomWorld(taught, drawn=False)
@@ -125,13 +134,13 @@ def collect(
 
 def _plan_drive_in_use(job: _Job) -> list[_Job]:
     """The recording of the drive in use, if there is to be one and it is not finished."""
-    folder, work = job.folder / IN_USE, job.work / IN_USE
+    folder, work = job.folder / DEPLOYMENT_FOLDER, job.work / DEPLOYMENT_FOLDER
     if not job.settings.deployment.drive_samples:
         return []
     if (folder / "manifest.json").is_file():
-        remove_files(work, COLLECTING)
+        remove_files(work, WORK_PATH)
         return []
-    remove_files(folder, OWN)
+    remove_files(folder, OWN_PATH)
     work.mkdir(exist_ok=True)
     settings = choose_drive_in_use(job.settings)
     return [_Job(settings, seed_in_use(job.seed), RoomWorld(settings, drawn=False), NO_TESTS, folder, work)]
@@ -167,7 +176,7 @@ def _record(job: _Job, progress: Report, workers: int | None, build_s: float, st
         "collect_s": round(time.perf_counter() - start, 2),
     }
     finish_recording(job.folder, manifest)
-    remove_files(job.work, COLLECTING)
+    remove_files(job.work, WORK_PATH)
 
 
 def lay_grid(world: RoomWorld, settings: SimSettings) -> np.ndarray:
@@ -176,7 +185,7 @@ def lay_grid(world: RoomWorld, settings: SimSettings) -> np.ndarray:
     spacing = settings.grid.spacing_m
     (low_x, low_y), (high_x, high_y) = world.bounds
     x, y = (
-        spacing * np.arange(np.ceil(a / spacing - ROUNDED), np.floor(b / spacing + ROUNDED) + 1)
+        spacing * np.arange(np.ceil(a / spacing - ROUNDING_TOLERANCE), np.floor(b / spacing + ROUNDING_TOLERANCE) + 1)
         for a, b in ((low_x, high_x), (low_y, high_y))
     )
     points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)

@@ -17,7 +17,7 @@ from sim.errors import InputError
 from sim.files.atomic import link_file
 from sim.files.checksums import write_array, write_blocks
 from sim.recording.format import (
-    OF_USE,
+    DEPLOYMENT_MANIFEST,
     Recording,
     Truth,
     finish_recording,
@@ -31,8 +31,7 @@ from sim.recording.format import (
     remove_recording,
     turn_file,
 )
-from sim.recording.manifest import FOLDER as IN_USE
-from sim.recording.manifest import Manifest, choose_drive_in_use, read_settings, seed_in_use
+from sim.recording.manifest import DEPLOYMENT_FOLDER, Manifest, choose_drive_in_use, read_settings, seed_in_use
 from sim.recording.turns import FILE as TURNS
 from sim.recording.turns import Turns, count_images, cut_turns, lose_turns
 from sim.rng import stream
@@ -41,13 +40,13 @@ from sim.sensors.catalog import Measure
 from sim.sensors.encoder import describe_odometry, read_encoders
 from sim.settings import DeploymentSettings, EncoderSettings, GridSettings, ImageFaultSettings, SimSettings
 
-PER_SAMPLE = ("truth/pose.npy", "truth/state.npy")
-OBSERVATIONS = "observations/"
-PER_READING = ("truth/reading.npy", "truth/wheel_angle.npy")
-READ_AGAIN = ("reading.npy", "time.npy", TURNS)  # Files that depend on the encoder settings
-OF_TESTS = ("test/", "truth/test_pose.npy", OF_USE)
+SAMPLE_FILES = ("truth/pose.npy", "truth/state.npy")
+OBSERVATION_PREFIX = "observations/"
+READING_FILES = ("truth/reading.npy", "truth/wheel_angle.npy")
+ENCODER_FILES = ("reading.npy", "time.npy", TURNS)  # Files that depend on the encoder settings
+TEST_PREFIXES = ("test/", "truth/test_pose.npy", DEPLOYMENT_MANIFEST)
 """Beginnings of the names of files that depend on deployment or test grid."""
-COUNTED = (
+TRAINING_ENTRIES = (
     "samples",
     "segments",
     "readings",
@@ -58,10 +57,10 @@ COUNTED = (
     "gl_renderer",
 )
 """Entries of the manifest that tell of the training drive."""
-NOT_LEARNED = (*READ_AGAIN, *OF_TESTS)  # Beginnings of the names of files that do not affect a training without ticks
-OF_IMAGES = ("images_drawn_twice", "images_that_differed")
-SAMPLES_IN_USE = "deployment.drive_samples"
-AT_ONCE = 256  # Images that are processed at a time
+UNLEARNED_PREFIXES = (*ENCODER_FILES, *TEST_PREFIXES)  # Of files that do not affect a training without ticks
+IMAGE_COUNTS = ("images_drawn_twice", "images_that_differed")
+DEPLOYMENT_SAMPLES = "deployment.drive_samples"
+BATCH_SIZE = 256  # Images that are processed at a time
 
 
 def choose_drive(settings: SimSettings, samples: int) -> SimSettings:
@@ -92,7 +91,7 @@ def derive(base: Path, settings: SimSettings, seed: int, folder: Path) -> None:
         raise InputError(f"{base} {misfit}")
     remove_recording(folder)  # remove what a killed process left
     if settings.deployment.drive_samples:
-        derive(base / IN_USE, choose_drive_in_use(settings), seed_in_use(seed), folder / IN_USE)
+        derive(base / DEPLOYMENT_FOLDER, choose_drive_in_use(settings), seed_in_use(seed), folder / DEPLOYMENT_FOLDER)
     samples = min(settings.drive.samples, len(truth.pose))
     kept = int((truth.reading[:, 1] < samples).sum())  # observations are numbered as they were made
     whole = samples == len(truth.pose)
@@ -110,11 +109,11 @@ def derive(base: Path, settings: SimSettings, seed: int, folder: Path) -> None:
         elif length is not None and not whole:
             array = np.load(base / name, mmap_mode="r", allow_pickle=False)
             write_array(folder / name, array[:length])
-        elif name not in (*READ_AGAIN, OF_USE):
+        elif name not in (*ENCODER_FILES, DEPLOYMENT_MANIFEST):
             link_file(base / name, folder / name)
     manifest = recording.manifest.model_dump(by_alias=True, exclude_unset=True)
     if not whole:
-        for name in ("samples_dropped", "times_relocated", *OF_IMAGES):  # known only for the complete drive
+        for name in ("samples_dropped", "times_relocated", *IMAGE_COUNTS):  # known only for the complete drive
             manifest.pop(name, None)
     manifest |= _read_again(recording, truth, turns, kept, settings, seed, folder)
     manifest |= {"settings": settings.model_dump(mode="json"), "samples": samples}
@@ -126,9 +125,9 @@ def _cut(name: str, manifest: Manifest, samples: int, readings: int, turns: Turn
     """Rows of a file in a drive of so many samples and readings; None: it does not depend on the drive's length."""
     if turns is not None and name in map(turn_file, manifest.sensors):
         return count_images(turns)
-    if name in PER_SAMPLE or name.startswith(OBSERVATIONS):
+    if name in SAMPLE_FILES or name.startswith(OBSERVATION_PREFIX):
         return samples
-    return readings if name in PER_READING else None
+    return readings if name in READING_FILES else None
 
 
 def _read_again(
@@ -168,10 +167,10 @@ def explain_misfit(base: Path, settings: SimSettings, seed: int) -> str | None:
         return misfit
     if not settings.deployment.drive_samples:
         return None
-    if OF_USE not in manifest.sha256:
+    if DEPLOYMENT_MANIFEST not in manifest.sha256:
         return f"has no drive in use, and deployment.drive_samples is {settings.deployment.drive_samples}"
-    in_use = read_manifest(base / IN_USE)
-    misfit = _explain_misfit_of_drive(in_use, choose_drive_in_use(settings), seed_in_use(seed), SAMPLES_IN_USE)
+    in_use = read_manifest(base / DEPLOYMENT_FOLDER)
+    misfit = _explain_misfit_of_drive(in_use, choose_drive_in_use(settings), seed_in_use(seed), DEPLOYMENT_SAMPLES)
     return misfit and f"has a drive in use that {misfit}"
 
 
@@ -207,7 +206,7 @@ def _develop_again(source: Path, target: Path, fault: Measure, count: int | None
     """Write the images of a file, or the first ``count``, with faults, in blocks."""
     images = np.load(source, mmap_mode="r", allow_pickle=False)[:count]
     flat = images.reshape(-1, *images.shape[-3:])
-    blocks = (fault(np.asarray(flat[first : first + AT_ONCE])) for first in range(0, len(flat), AT_ONCE))
+    blocks = (fault(np.asarray(flat[first : first + BATCH_SIZE])) for first in range(0, len(flat), BATCH_SIZE))
     write_blocks(target, images.shape, images.dtype, blocks)
 
 
@@ -241,7 +240,7 @@ def link_training(base: Path, folder: Path) -> dict[str, Any]:
     """Link the files of a recording's training drive, or copy them; return their entries of the manifest."""
     manifest = read_manifest(base)
     for name in manifest.sha256:
-        if not (name.startswith(OF_TESTS) or (folder / name).is_file()):
+        if not (name.startswith(TEST_PREFIXES) or (folder / name).is_file()):
             link_file(base / name, folder / name)
     known = manifest.model_dump(by_alias=True, exclude_unset=True)
-    return {name: known[name] for name in COUNTED if name in known} | {"derived_from": name_source(base)}
+    return {name: known[name] for name in TRAINING_ENTRIES if name in known} | {"derived_from": name_source(base)}

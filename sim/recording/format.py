@@ -20,25 +20,24 @@ from sim.errors import DamagedError, InputError, one_line
 from sim.files.atomic import list_files, remove_files
 from sim.files.checksums import FORMAT, check_sha256, damaged, read_json, refuse_format, sha256, write_array, write_json
 from sim.geometry import FreeSpace, load_free_space
-from sim.recording.manifest import DIMENSIONS, SENSOR, Manifest, ObservationKind, describe_problem
-from sim.recording.manifest import FOLDER as IN_USE
+from sim.recording.manifest import DEPLOYMENT_FOLDER, DIMENSIONS, SENSOR, Manifest, ObservationKind, describe_problem
 from sim.recording.turns import FILE as TURNS
 from sim.recording.turns import Turns, check_turns, from_array
 
-OWN = re.compile(
+OWN_PATH = re.compile(
     rf"manifest\.json|scene\.glb|(observations|test)/{SENSOR}\.npy|(reading|time|turns)\.npy"
     r"|truth/(pose|reading|wheel_angle|state|test_pose|landmark|obstacle)\.npy|truth/free_space\.npz"
     r"|labels/((test_)?detection|tag)\.npz|labels/(test_)?pose\.npy"
 )
 """Paths of a recording's files, without those of the drive in use."""
-RECORDING = re.compile(rf"({IN_USE}/)?({OWN.pattern})")  # Paths of all files that a recording's folder holds
+RECORDING = re.compile(rf"({DEPLOYMENT_FOLDER}/)?({OWN_PATH.pattern})")  # Paths of all files of a recording
 PART = re.compile(rf"drive-\d+\.npz|(image|test|turn)-\d+(\.{SENSOR})?\.np[yz]")
 """Names of the parts of a drive, without those of the drive in use."""
-COLLECTING = re.compile(rf"({IN_USE}/)?({PART.pattern})")  # Paths of all files in the folder of an unfinished recording
-OF_USE = f"{IN_USE}/manifest.json"  # Path of the manifest of the drive in use
-OF_RUN = "recording"  # Name of the folder of a run's recording; other recordings have names of their own
+WORK_PATH = re.compile(rf"({DEPLOYMENT_FOLDER}/)?({PART.pattern})")  # Of all files of an unfinished one
+DEPLOYMENT_MANIFEST = f"{DEPLOYMENT_FOLDER}/manifest.json"  # Path of the manifest of the drive in use
+RUN_RECORDING = "recording"  # Name of the folder of a run's recording; other recordings have names of their own
 Report = Callable[[str, int, int], None]  # Called with a stage of the work, the steps done and their number
-RECORD_AGAIN = "restore it from a copy, or, if the simulator made it, make it again with --fresh"
+REPAIR_HINT = "restore it from a copy, or, if the simulator made it, make it again with --fresh"
 
 
 @dataclass(frozen=True)
@@ -181,13 +180,13 @@ def work_folder(folder: Path) -> Path:
 
 def name_source(base: Path) -> str:
     """How a manifest calls the recording from which another was derived: by its own folder, or that of its run."""
-    home = base.parent if base.name == IN_USE else base
-    return home.parent.name if home.name == OF_RUN else home.name
+    home = base.parent if base.name == DEPLOYMENT_FOLDER else base
+    return home.parent.name if home.name == RUN_RECORDING else home.name
 
 
 def is_whole(folder: Path) -> bool:
     """Whether a recording is finished and its parts have been removed."""
-    return (folder / "manifest.json").is_file() and not list_files(work_folder(folder), COLLECTING)
+    return (folder / "manifest.json").is_file() and not list_files(work_folder(folder), WORK_PATH)
 
 
 def chunk_files(work: Path, index: int) -> tuple[Path, Path, Path]:
@@ -204,7 +203,7 @@ def read_manifest(folder: Path) -> Manifest:
     try:
         values = read_json(path)
     except DamagedError as error:
-        raise DamagedError(f"{error}; {RECORD_AGAIN}") from None
+        raise DamagedError(f"{error}; {REPAIR_HINT}") from None
     if values.get("format") != FORMAT:
         raise refuse_format(path, values.get("format"))
     try:
@@ -226,7 +225,9 @@ def write_files(folder: Path, arrays: Mapping[str, np.ndarray], manifest: Mappin
 def finish_recording(folder: Path, manifest: Mapping[str, Any]) -> None:
     """Complete the recording: write its manifest with the SHA-256 of every file; of a drive in use, of its manifest."""
     names = sorted(path.relative_to(folder).as_posix() for path in list_files(folder, RECORDING))
-    ours = [name for name in names if (OWN.fullmatch(name) and name != "manifest.json") or name == OF_USE]
+    ours = [
+        name for name in names if (OWN_PATH.fullmatch(name) and name != "manifest.json") or name == DEPLOYMENT_MANIFEST
+    ]
     checksums = {name: sha256(folder / name) for name in ours}
     write_json(folder / "manifest.json", {**manifest, "format": FORMAT, "sha256": checksums})
 
@@ -236,13 +237,13 @@ def check_recording(folder: Path) -> None:
     manifest = read_manifest(folder)
     for truth in (False, True):
         _check_files(folder, manifest, truth)
-    if OF_USE in manifest.sha256:
-        check_recording(folder / IN_USE)
+    if DEPLOYMENT_MANIFEST in manifest.sha256:
+        check_recording(folder / DEPLOYMENT_FOLDER)
 
 
 def remove_recording(folder: Path) -> None:
     """Remove a recording, finished or not, and its parts; any other files in its folders stay."""
-    for place, ours in ((folder, RECORDING), (work_folder(folder), COLLECTING)):
+    for place, ours in ((folder, RECORDING), (work_folder(folder), WORK_PATH)):
         if place.is_dir() and not place.is_symlink():
             remove_files(place, ours)
 
@@ -254,7 +255,7 @@ def _check_files(folder: Path, manifest: Manifest, truth: bool) -> None:
             try:
                 check_sha256(folder / name, expected)
             except DamagedError as error:
-                raise DamagedError(f"{error}; {RECORD_AGAIN}") from None
+                raise DamagedError(f"{error}; {REPAIR_HINT}") from None
 
 
 def _open_observations(folder: Path, manifest: Manifest, sensor: str) -> np.ndarray:
@@ -284,6 +285,6 @@ def _open_array(path: Path, mapped: bool = False) -> np.ndarray:
         # Mode "c" makes the array writable in memory, as torch requires; the file does not change.
         return np.load(path, mmap_mode="c" if mapped else None, allow_pickle=False)
     except FileNotFoundError:
-        raise DamagedError(f"{path} is missing; {RECORD_AGAIN}") from None
+        raise DamagedError(f"{path} is missing; {REPAIR_HINT}") from None
     except (ValueError, EOFError, MemoryError, OverflowError) as error:
         raise damaged(path, one_line(error)) from None

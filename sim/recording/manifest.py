@@ -81,14 +81,14 @@ def name_sensors(settings: SimSettings) -> dict[str, ObservationKind]:
     return {name: SENSORS[name].kind for name in list_kept(settings)}
 
 
-STATES = (
+LIGHT_STATES = (
     DeploymentSettings(),
     DeploymentSettings(daylight=0.3),
     DeploymentSettings(daylight=1.0, lamps=0.0),
     DeploymentSettings(daylight=0.0),
 )
 """Light of consecutive parts of the drive, in turn: as usual, little daylight, lamps off, night."""
-FOLDER = "use"  # Folder of the drive in use, in the recording's folder and in that of its parts
+DEPLOYMENT_FOLDER = "use"  # Folder of the drive in use, in the recording's folder and in that of its parts
 NO_TESTS = np.empty((0, 1, 3))  # Poses of the test positions of a recording without any
 
 
@@ -96,7 +96,7 @@ def light_part(settings: SimSettings, number: int) -> SimSettings:
     """Settings of what is sensed in the drive's part with a number, which are the drive's if the light is constant."""
     if not settings.drive.mixed_light:
         return settings
-    return settings.model_copy(update={"deployment": STATES[number % len(STATES)]})
+    return settings.model_copy(update={"deployment": LIGHT_STATES[number % len(LIGHT_STATES)]})
 
 
 def set_in_use(settings: SimSettings) -> SimSettings:
@@ -120,4 +120,4 @@ def choose_drive_in_use(settings: SimSettings) -> SimSettings:
 
 def seed_in_use(seed: int) -> int:
     """Seed of the drive in use, by the seed of the training drive: all its RNG streams are its own."""
-    return derive_seed(seed, FOLDER)
+    return derive_seed(seed, DEPLOYMENT_FOLDER)

@@ -24,23 +24,23 @@ from sim.errors import WorkError
 from sim.processes import start_process, usable_cores
 from sim.settings import SimSettings
 
-DEATHS = 3  # Number of times that renderers may die or hang
-TRIES = 3  # Most attempts at a part whose images differ when they are drawn twice
-FLOOR_S, PATIENCE = 10.0, 8.0
-"""A worker counts as hung once its silence exceeds FLOOR_S + PATIENCE times the longest silence that ended."""
-BEAT_S = 0.5  # Interval between a worker's signs of life, unless an image takes longer
-LOOK_S = 1.0
-AHEAD = 2  # Parts that a worker has at once: with the next one queued it need not wait for a parent that is driving
-QUEUED_BYTES = 100_000
+MAX_DEATHS = 3  # Number of times that renderers may die or hang
+MAX_TRIES = 3  # Most attempts at a part whose images differ when they are drawn twice
+MIN_SILENCE_S, SILENCE_FACTOR = 10.0, 8.0
+"""A worker is hung once its silence exceeds MIN_SILENCE_S + SILENCE_FACTOR times the longest one that ended."""
+HEARTBEAT_S = 0.5  # Interval between a worker's signs of life, unless an image takes longer
+POLL_S = 1.0
+WORKER_PARTS = 2  # With the next part queued, a worker need not wait for a parent that is driving
+MAX_QUEUED_BYTES = 100_000
 """Largest part that is queued: sending what the pipe cannot hold would wait until the worker has drawn the last."""
-PER_RENDERER = 500  # Images for which it pays to start one more rendering process, which takes as long as drawing them
-FIX = "deepgps doctor checks the renderer"
+IMAGES_PER_RENDERER = 500  # To draw so many takes as long as to start one more renderer
+DOCTOR_HINT = "deepgps doctor checks the renderer"
 log = logging.getLogger(__name__)
 
 
 def count_renderers(images: int) -> int:
     """Number of worker processes that pay for so many images."""
-    return min(usable_cores(), 1 + images // PER_RENDERER)
+    return min(usable_cores(), 1 + images // IMAGES_PER_RENDERER)
 
 
 class UnsteadyError(WorkError):
@@ -103,12 +103,12 @@ class Renderers:
         Raises WorkError if renderers die, hang or err too often, or a part cannot be written.
         """
         while self._waiting or any(worker.parts for worker in self._workers):
-            self._look(LOOK_S)
+            self._look(POLL_S)
             progress(self.drawn)
 
     def limit_s(self) -> float:
         """Longest allowed silence of a worker [s]; it doubles after each death, as the machine may just be slow."""
-        return (FLOOR_S + PATIENCE * self._longest_s) * 2**self.deaths
+        return (MIN_SILENCE_S + SILENCE_FACTOR * self._longest_s) * 2**self.deaths
 
     def __enter__(self) -> Self:
         return self
@@ -125,7 +125,7 @@ class Renderers:
         start = time.monotonic()
         ready = wait([worker.pipe for worker in self._workers], wait_s)
         # If this process was stopped or asleep, the elapsed time says nothing about its worker processes.
-        waited = min(time.monotonic() - start, 2 * LOOK_S)
+        waited = min(time.monotonic() - start, 2 * POLL_S)
         lost = []
         for worker in list(self._workers):
             if worker.pipe not in ready:
@@ -139,7 +139,7 @@ class Renderers:
 
     def _hand_out(self) -> None:
         while self._waiting:
-            ahead = AHEAD if self._waiting[0].states.nbytes <= QUEUED_BYTES else 1
+            ahead = WORKER_PARTS if self._waiting[0].states.nbytes <= MAX_QUEUED_BYTES else 1
             free = [worker for worker in self._workers if len(worker.parts) < ahead]
             if len(self._workers) < self._count and all(worker.parts for worker in free):
                 free.append(self._start())
@@ -183,8 +183,8 @@ class Renderers:
     def _draw_again(self, worker: _Worker, error: UnsteadyError) -> None:
         """Replace a worker that drew one image differently twice, and queue its parts again."""
         part = worker.parts.popleft().again()
-        if part.differed >= TRIES:
-            raise WorkError(f"{error}, {TRIES} times; {FIX}")
+        if part.differed >= MAX_TRIES:
+            raise WorkError(f"{error}, {MAX_TRIES} times; {DOCTOR_HINT}")
         log.warning("%s; the file is drawn again", error)
         self._waiting.extendleft(reversed([part, *worker.parts]))
         worker.parts.clear()
@@ -201,8 +201,8 @@ class Renderers:
             lost += [one for one in self._workers if one not in lost + hung and one.process.poll() is not None]
         self.deaths += 1
         why = "a rendering process died" if lost else f"a rendering process gave no sign of life for {limit_s:.0f} s"
-        if self.deaths > DEATHS:
-            raise WorkError(f"{why}; {FIX}")
+        if self.deaths > MAX_DEATHS:
+            raise WorkError(f"{why}; {DOCTOR_HINT}")
         log.warning("%s; %d of %d workers are replaced", why, len(lost + hung), len(self._workers))
         for worker in lost + hung:
             self._waiting.extendleft(reversed(worker.parts))
@@ -257,6 +257,6 @@ class _Pulse:
     def beat(self) -> None:
         now = time.monotonic()
         self._longest_s, self._last = max(self._longest_s, now - self._last), now
-        if now - self._told >= BEAT_S:
+        if now - self._told >= HEARTBEAT_S:
             self._pipe.send(self._longest_s)
             self._told = now

@@ -17,7 +17,7 @@ from trimesh.visual.material import PBRMaterial
 from trimesh.visual.texture import TextureVisuals
 
 from sim.files.atomic import write_bytes
-from sim.rooms.spec import DRAWN_GROUPS, PREFIX
+from sim.rooms.spec import DRAWN_GROUPS, ROBOT_PREFIX
 
 _JPEG_QUALITY = 85
 _SECTIONS = 16
@@ -26,7 +26,7 @@ _DEFAULT_RGBA = np.array([0.5, 0.5, 0.5, 1.0])  # MuJoCo's default, which means 
 _Geom = mujoco.mjtGeom
 
 
-def write_scene(model: mujoco.MjModel, path: Path, hidden: str = PREFIX) -> None:
+def write_scene(model: mujoco.MjModel, path: Path, hidden: str = ROBOT_PREFIX) -> None:
     """Write the visual geoms of a compiled room, in its initial state, as GLB; equal models give equal bytes.
 
     Boxes and planes have their textures, all other shapes their texture's mean colour. Height fields, signed distance

@@ -15,7 +15,7 @@ from sim.rooms.spec import empty_room
 from sim.settings import TURN_RATE_RPS, DriveSettings, RobotSettings, SimSettings
 
 RAMP_S = 0.5  # Time in which a test drive speeds up and slows down [s]
-STRAIGHT_M, LEAST_M = 5.0, 4.0
+STRAIGHT_M, MIN_STRAIGHT_M = 5.0, 4.0
 """Length of the straight test drive, and what a robot that can be used drives of it at least [m]."""
 
 
@@ -37,7 +37,7 @@ def calibrate(settings: SimSettings, body: Body = BURGER) -> tuple[float, float]
     world.place(np.zeros(3))
     run(world, settings.drive.speed_mps, 0.0, STRAIGHT_M / settings.drive.speed_mps)
     driven_m = float(np.hypot(*world.pose()[:2]))
-    if not driven_m > LEAST_M:  # NaN is not
+    if not driven_m > MIN_STRAIGHT_M:  # NaN is not
         raise InputError(
             f"robot.mjcf {shorten(str(settings.robot.mjcf), 300)}: told to drive {STRAIGHT_M:g} m at drive.speed_mps "
             f"{settings.drive.speed_mps:g}, it drove {driven_m:.2g} m; its wheels must touch the floor, and its motors "

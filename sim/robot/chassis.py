@@ -12,13 +12,13 @@ from sim.errors import InputError, WorkError, one_line, shorten
 from sim.robot.model import CONTROL_PERIOD_S, TIMESTEP_S, WHEELS, Body, load_robot
 from sim.robot.own import load_own_robot
 from sim.rooms.deployment import dim
-from sim.rooms.spec import NEAR_M, PREFIX, empty_room, freeze
+from sim.rooms.spec import NEAR_PLANE_M, ROBOT_PREFIX, empty_room, freeze
 from sim.sensors.catalog import SENSORS, list_carried, load
 from sim.settings import DeploymentSettings, SimSettings
 
-AMBIENT = 0.4  # Brightness of the ambient light; a room without lamps of its own gets AMBIENT_WITHOUT_LAMPS
-AMBIENT_WITHOUT_LAMPS = 0.9
-FAR_M = 60.0
+AMBIENT_LIGHT = 0.4  # Brightness of the ambient light; a room without lamps of its own gets LAMPLESS_AMBIENT_LIGHT
+LAMPLESS_AMBIENT_LIGHT = 0.9
+FAR_PLANE_M = 60.0
 
 # By default MuJoCo prints warnings and appends them to a file MUJOCO_LOG.TXT in the user's folder. The code that steps
 # the physics reads warnings from the state instead, and a file that causes a warning is refused.
@@ -42,7 +42,7 @@ def compile_scene(room: mujoco.MjSpec, settings: SimSettings) -> mujoco.MjModel:
             load(mount)(robot, settings)
     robot.option = spec.option
     try:
-        spec.attach(robot, prefix=PREFIX, frame=spec.worldbody.add_frame())
+        spec.attach(robot, prefix=ROBOT_PREFIX, frame=spec.worldbody.add_frame())
         return spec.compile()
     except ValueError as error:
         raise InputError(f"room: MuJoCo cannot put the robot into it: {one_line(error)}") from None
@@ -68,17 +68,17 @@ def _force_picture(spec: mujoco.MjSpec) -> None:
     headlight = spec.visual.headlight
     headlight.active = 1
     shining = any(light.type != mujoco.mjtLightType.mjLIGHT_POINT for light in spec.lights)  # MuJoCo draws no others
-    headlight.ambient = [AMBIENT if shining else AMBIENT_WITHOUT_LAMPS] * 3
+    headlight.ambient = [AMBIENT_LIGHT if shining else LAMPLESS_AMBIENT_LIGHT] * 3
     headlight.diffuse = headlight.specular = [0.0] * 3
     # Clip planes scale with the extent, which is fixed so that they do not depend on the room's size.
     spec.stat.extent = 1.0
-    spec.visual.map.znear, spec.visual.map.zfar = NEAR_M, FAR_M
+    spec.visual.map.znear, spec.visual.map.zfar = NEAR_PLANE_M, FAR_PLANE_M
 
 
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
-_SETTLE_S = 1.0
-LEVEL = 0.999  # Smallest cosine of the lean at which a user's own robot comes to rest
-ON_FLOOR_M, FALLEN_M = 0.01, 1.0
+_SETTLING_S = 1.0
+MIN_UPRIGHT_COSINE = 0.999  # Smallest cosine of the lean at which a user's own robot comes to rest
+FLOOR_GAP_M, FALL_DEPTH_M = 0.01, 1.0
 """Largest height of its origin above the floor at rest, and depth below it from which a robot has fallen [m]."""
 
 
@@ -98,7 +98,7 @@ class Chassis:
         self.model = compile_scene(room, settings)
         self.data = mujoco.MjData(self.model)
         self._substeps = round(CONTROL_PERIOD_S / TIMESTEP_S)
-        self._left, self._right = (self.model.sensor(PREFIX + name).adr[0] for name in WHEELS)
+        self._left, self._right = (self.model.sensor(ROBOT_PREFIX + name).adr[0] for name in WHEELS)
         self._bumper = self.model.sensor_adr[self.model.sensor_type == mujoco.mjtSensor.mjSENS_TOUCH]
         self._rest = _settle(settings)
 
@@ -130,7 +130,7 @@ class Chassis:
         self.advance(self._substeps)
         if data.warning.number.any():
             raise WorkError(f"physics failed at {data.time:.2f} s: {_name_warning(data)}")
-        if data.qpos[2] < -FALLEN_M:
+        if data.qpos[2] < -FALL_DEPTH_M:
             raise WorkError(f"the robot fell through the room's floor at {data.time:.2f} s: the floor has a hole")
         # After a step the sensors are one step behind the joints: evaluate them for the current state.
         mujoco.mj_kinematics(self.model, data)
@@ -181,19 +181,19 @@ def _settle(settings: SimSettings) -> np.ndarray:
     """Return full positions (nq,) of the robot at rest on a level floor at the origin, heading +x."""
     model = compile_scene(empty_room(), settings)
     data = mujoco.MjData(model)
-    mujoco.mj_step(model, data, round(_SETTLE_S / TIMESTEP_S))
+    mujoco.mj_step(model, data, round(_SETTLING_S / TIMESTEP_S))
     rest = data.qpos.copy()
     if settings.robot.mjcf is not None:
         what = f"robot.mjcf {shorten(settings.robot.mjcf, 300)}"
-        if not 1.0 - 2.0 * (rest[4] ** 2 + rest[5] ** 2) >= LEVEL:  # NaN is not
+        if not 1.0 - 2.0 * (rest[4] ** 2 + rest[5] ** 2) >= MIN_UPRIGHT_COSINE:  # NaN is not
             raise InputError(f"{what}: it does not stay level on a level floor")
-        if not abs(rest[2]) <= ON_FLOOR_M:
+        if not abs(rest[2]) <= FLOOR_GAP_M:
             raise InputError(
-                f"{what}: at rest, its body's origin is {rest[2]:.3g} m above the floor; at most {ON_FLOOR_M:g} m is "
+                f"{what}: at rest, its body's origin is {rest[2]:.3g} m above the floor; at most {FLOOR_GAP_M:g} m is "
                 "allowed"
             )
     rest[:2], rest[6] = 0.0, 0.0
-    rest[[model.joint(PREFIX + name).qposadr[0] for name in WHEELS]] = 0.0  # springs stay as they settled
+    rest[[model.joint(ROBOT_PREFIX + name).qposadr[0] for name in WHEELS]] = 0.0  # springs stay as they settled
     rest[3:7] /= np.linalg.norm(rest[3:7])
     return rest
 

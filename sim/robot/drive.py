@@ -19,12 +19,12 @@ import numpy as np
 
 from sim.errors import WorkError
 from sim.geometry import planar_pose
-from sim.robot.headings import SHORTEST_M, DriveMode, Gaps, Visits, is_staler_aside, turn_to_clear
+from sim.robot.headings import MIN_CLEARANCE_M, DriveMode, Gaps, Visits, is_staler_aside, turn_to_clear
 from sim.robot.model import CONTROL_PERIOD_S, wheel_speeds
 from sim.robot.motion import (
     ACCELERATION_MPS2,
-    CLOSE_M,
-    SEEN_M,
+    GOAL_TOLERANCE_M,
+    RANGE_TOLERANCE_M,
     Robot,
     back_off,
     drive_arc,
@@ -36,18 +36,18 @@ from sim.robot.motion import (
 from sim.settings import DriveSettings
 
 Ended = Literal["length", "gap", "range", "contact", "stall"]
-TOUCHED = ("contact", "stall")  # After these endings the robot is no longer where it took its last sample
+TOUCH_ENDINGS = ("contact", "stall")  # After these endings the robot is no longer where it took its last sample
 
-STRAIGHTEN_PER_S = 4.0
+STRAIGHTENING_GAIN_PER_S = 4.0
 """Gain that keeps the wheel angles equal: difference of the speeds over difference of the angles [1/s]."""
-SEARCHED = 20  # Average number of segments in a search
+MEAN_SEARCH_SEGMENTS = 20  # Average number of segments in a search
 ARC_M, ARC_RADIUS_M = (0.3, 1.5), (0.3, 1.5)  # Shortest and longest arc, and its smallest and largest radius [m]
-UNCERTAIN_M = 0.12
+UNCERTAIN_DISTANCE_M = 0.12
 """A contact or stall makes the samples over this last distance travelled doubtful: they are dropped [m]."""
 STALL_S = 0.2  # Wheels that turn at less than half the commanded speed for this long are blocked [s]
 SLIP_M = 0.10  # The wheels slip if they roll this far while what is ahead comes no nearer [m]
 TRIES = 500
-WEDGED = 20
+MAX_ESCAPES = 20
 """When the robot is wedged between two legs, its wheels slip and a full turn barely turns it. It rolls back and tries
 again at most this many times before it is relocated to the start, as if a person carried it."""
 
@@ -105,7 +105,7 @@ def next_segment(
         while (stop_m := turn_to_clear(robot, settings, rng, mode, visits)) is None:
             mode = mode._replace(continues=False)
             wedged += 1
-            if wedged <= WEDGED:
+            if wedged <= MAX_ESCAPES:
                 _back_off(robot, visits)
             elif not relocated:
                 robot.carry(rng)
@@ -119,7 +119,7 @@ def next_segment(
             continue
         segment = _go_straight(robot, settings, rng, stop_m, mode, visits)
         visits.pass_over(robot.wheel_angle())
-        if segment.ended in TOUCHED:
+        if segment.ended in TOUCH_ENDINGS:
             _back_off(robot, visits)
         dropped += segment.dropped
         if len(segment.time) >= 2:
@@ -151,7 +151,7 @@ def _go_straight(
     explores = settings.headings == "explore"
     # Short rays are enough to stop in time, and cheaper.
     blind_m = settings.speed_mps**2 / (2 * ACCELERATION_MPS2) + SLIP_M + 0.1
-    reach_m = blind_m + stop_m + robot.body.radius_m + SEEN_M
+    reach_m = blind_m + stop_m + robot.body.radius_m + RANGE_TOLERANCE_M
     while True:
         clear_m = look(robot, reach_m) - stop_m
         path.see(clear_m, blind_m)
@@ -170,7 +170,7 @@ def _go_straight(
         time=np.array([sample.time for sample in samples]),
         continues=mode.continues,
         ended="gap" if ended == "length" and gap else ended,
-        dropped=len(path.samples) - len(samples) if ended in TOUCHED else 0,
+        dropped=len(path.samples) - len(samples) if ended in TOUCH_ENDINGS else 0,
         mode=_go_on(settings, rng, mode, ended, gap),
     )
 
@@ -191,7 +191,7 @@ class _Path:
 
     def see(self, clear_m: float, blind_m: float) -> None:
         """Note what is clear ahead [m]; beyond ``blind_m`` rays do not show whether it comes nearer."""
-        if abs(clear_m - self._seen_m) > SEEN_M or clear_m > blind_m:
+        if abs(clear_m - self._seen_m) > RANGE_TOLERANCE_M or clear_m > blind_m:
             self._seen_m, self._slip_from_m = clear_m, self.travelled_m
 
     def drive_on(self, rest_m: float) -> None:
@@ -199,7 +199,7 @@ class _Path:
         robot, settings, period = self._robot, self._settings, CONTROL_PERIOD_S
         self.speed = ramp(self.speed, settings.speed_mps, ACCELERATION_MPS2, rest_m, period)
         left, right = robot.wheel_angle() - self._start
-        even = STRAIGHTEN_PER_S * (left - right) / 2
+        even = STRAIGHTENING_GAIN_PER_S * (left - right) / 2
         robot.step(wheel_speeds(self.speed, 0.0, robot.body) + (-even, even))
         before_m, self.travelled_m = self.travelled_m, travelled(robot, self._start)
         slow = self.travelled_m - before_m < self.speed * period / 2
@@ -212,9 +212,9 @@ class _Path:
 
         Empty if the robot hardly moved.
         """
-        if ended in TOUCHED:
-            return [one for one in self.samples if one.travelled_m <= self.travelled_m - UNCERTAIN_M]
-        if self.travelled_m < CLOSE_M:
+        if ended in TOUCH_ENDINGS:
+            return [one for one in self.samples if one.travelled_m <= self.travelled_m - UNCERTAIN_DISTANCE_M]
+        if self.travelled_m < GOAL_TOLERANCE_M:
             return []
         last = _sample(self._robot, travelled(self._robot, self._start))
         # The end is the next segment's start, so a regular sample just before it is dropped.
@@ -224,7 +224,7 @@ class _Path:
 
 def _choose_gaps(settings: DriveSettings, mode: DriveMode, stop_m: float, radius_m: float) -> tuple[Gaps, float]:
     if mode.kind == "search":
-        return Gaps((mode.side,), SHORTEST_M + stop_m, radius_m), 1.0
+        return Gaps((mode.side,), MIN_CLEARANCE_M + stop_m, radius_m), 1.0
     sides = (1, -1) if settings.headings == "explore" or settings.enter > 0.0 else ()
     return Gaps(sides, None, radius_m), settings.enter
 
@@ -232,7 +232,7 @@ def _choose_gaps(settings: DriveSettings, mode: DriveMode, stop_m: float, radius
 def _draw_length(settings: DriveSettings, rng: np.random.Generator) -> float:
     if settings.lengths == "longest":
         return settings.longest_m
-    return rng.uniform(min(SHORTEST_M, settings.longest_m), settings.longest_m)
+    return rng.uniform(min(MIN_CLEARANCE_M, settings.longest_m), settings.longest_m)
 
 
 def _why_stop(bumped: bool, path: _Path, clear_m: float, rest_m: float) -> Ended | None:
@@ -240,15 +240,15 @@ def _why_stop(bumped: bool, path: _Path, clear_m: float, rest_m: float) -> Ended
         return "contact"
     if path.held_s > STALL_S or path.slipped_m > SLIP_M:
         return "stall"
-    if rest_m < CLOSE_M:
-        return "range" if clear_m < CLOSE_M else "length"
+    if rest_m < GOAL_TOLERANCE_M:
+        return "range" if clear_m < GOAL_TOLERANCE_M else "length"
     return None
 
 
 def _go_on(settings: DriveSettings, rng: np.random.Generator, mode: DriveMode, ended: Ended, gap: int) -> DriveMode:
     """Draw the next mode; the next segment continues this one if the robot is still at its last sample."""
-    continues, chance = ended not in TOUCHED, rng.uniform()
-    if mode.kind == "search" and chance > 1 / SEARCHED:
+    continues, chance = ended not in TOUCH_ENDINGS, rng.uniform()
+    if mode.kind == "search" and chance > 1 / MEAN_SEARCH_SEGMENTS:
         return DriveMode(continues, "search", mode.side)
     if mode.kind != "search" and gap:
         return DriveMode(continues, "enter", gap)

@@ -10,16 +10,16 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from sim.robot.model import Body, wheel_motion
-from sim.robot.motion import SEEN_M, Robot, look, turn
+from sim.robot.motion import RANGE_TOLERANCE_M, Robot, look, turn
 from sim.robot.range_finder import REACH_M
 from sim.settings import DriveSettings
 
 CELL_M = 0.1  # Side of a cell of the grid of visits [m]
-SIDE = 512  # Cells along each side of the grid, which repeats: places 51 m apart share a cell
-NEAR_M = 0.15
+GRID_CELLS = 512  # Cells along each side of the grid, which repeats: places 51 m apart share a cell
+VISITED_RADIUS_M = 0.15
 """Places this near to where the robot's middle passed count as visited [m]: about its radius and half a cell."""
-NEVER_M = 10_000.0  # How long ago a place that was never visited counts as visited [m]: longer than most drives
-START_M = 0.5  # What stopping, turning and starting costs, as a distance [m]
+UNVISITED_AGE_M = 10_000.0  # How long ago a place that was never visited counts as visited [m]: longer than most drives
+START_COST_M = 0.5  # What stopping, turning and starting costs, as a distance [m]
 
 
 class Visits:
@@ -29,7 +29,7 @@ class Visits:
     def __init__(self, body: Body, wheel_angle: np.ndarray) -> None:
         self._body, self._angle = body, wheel_angle
         self._place, self._driven_m = np.zeros(2), 0.0
-        self._last_m = np.full((SIDE, SIDE), -NEVER_M)
+        self._last_m = np.full((GRID_CELLS, GRID_CELLS), -UNVISITED_AGE_M)
 
     def move(self, wheel_angle: np.ndarray) -> None:
         """Follow the robot to the wheel angles (2,) [rad], which it reached by a turn, a straight line or an arc."""
@@ -45,18 +45,18 @@ class Visits:
         start, start_m = self._place, self._driven_m
         self.move(wheel_angle)
         count = 1 + math.ceil((self._driven_m - start_m) / (CELL_M / 2))
-        reach = math.ceil(NEAR_M / CELL_M)
+        reach = math.ceil(VISITED_RADIUS_M / CELL_M)
         offset = np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, -1).T
         along = np.linspace(0.0, 1.0, count)[:, None]
         place = start + along * (self._place - start)
         cell = np.floor(place / CELL_M).astype(int)[:, None] + offset
-        near = np.linalg.norm((cell + 0.5) * CELL_M - place[:, None], axis=-1) <= NEAR_M
-        row, column = cell[near].T % SIDE
+        near = np.linalg.norm((cell + 0.5) * CELL_M - place[:, None], axis=-1) <= VISITED_RADIUS_M
+        row, column = cell[near].T % GRID_CELLS
         self._last_m[row, column] = self._driven_m
 
     def staleness(self, turned_rad: float, clear_m: float, advanced_m: float = 0.0) -> float:
         """How stale the floor along a straight drive is: the squared distance driven since it was last visited, summed
-        over points 0.1 m apart, per length of the drive with START_M [m].
+        over points 0.1 m apart, per length of the drive with START_COST_M [m].
 
         Args:
             turned_rad: Heading of the drive, to the left of the robot's own [rad].
@@ -66,16 +66,16 @@ class Visits:
         heading, ahead = self._heading, np.arange(CELL_M, max(clear_m, CELL_M) + 1e-9, CELL_M)
         start = self._place + advanced_m * np.array((math.cos(heading), math.sin(heading)))
         place = start + ahead[:, None] * (math.cos(heading + turned_rad), math.sin(heading + turned_rad))
-        row, column = np.floor(place / CELL_M).astype(int).T % SIDE
-        return float(((self._driven_m - self._last_m[row, column]) ** 2).sum()) / (clear_m + START_M)
+        row, column = np.floor(place / CELL_M).astype(int).T % GRID_CELLS
+        return float(((self._driven_m - self._last_m[row, column]) ** 2).sum()) / (clear_m + START_COST_M)
 
     def forget(self) -> None:
         """Forget all visits: the robot was carried to where it does not know."""
-        self._last_m[:] = -NEVER_M
+        self._last_m[:] = -UNVISITED_AGE_M
 
     def state(self) -> dict[str, np.ndarray]:
         """Arrays from which ``set_state`` restores everything."""
-        cell = np.flatnonzero(self._last_m > -NEVER_M)
+        cell = np.flatnonzero(self._last_m > -UNVISITED_AGE_M)
         return {
             "visit_angle": self._angle,
             "visit_pose": np.array((*self._place, self._driven_m)),
@@ -97,8 +97,8 @@ class Visits:
 
 
 RISE_M = 0.8  # Another part of the room begins where the clear distance to the side grows by this between two looks [m]
-NEAR_RISE_M = 0.1  # A place to turn in begins where the clear distance to the side grows by this [m]
-EVERY_M = 0.015
+TURN_PLACE_RISE_M = 0.1  # A place to turn in begins where the clear distance to the side grows by this [m]
+LOOK_SPACING_M = 0.015
 """Distance travelled between two looks [m]: small enough for an entrance with a few centimetres to spare."""
 
 
@@ -110,36 +110,36 @@ class Gaps:
 
     def __init__(self, sides: tuple[int, ...], enough_m: float | None, radius_m: float) -> None:
         self.sides, self.enough_m = sides, enough_m
-        self.reach_m = REACH_M if enough_m is None else enough_m + radius_m + SEEN_M
+        self.reach_m = REACH_M if enough_m is None else enough_m + radius_m + RANGE_TOLERANCE_M
         self.before_m, self.next_m = dict.fromkeys(sides, np.inf), 0.0
 
     def find(self, robot: Robot, travelled_m: float) -> list[int]:
         """Return the sides on which a gap has begun since the last look, after ``travelled_m`` [m] of the segment."""
         if travelled_m < self.next_m:
             return []
-        self.next_m = travelled_m + EVERY_M
+        self.next_m = travelled_m + LOOK_SPACING_M
         return [side for side in self.sides if self._begins(side, look(robot, self.reach_m, side * np.pi / 2))]
 
     def _begins(self, side: int, clear_m: float) -> bool:
         before_m, self.before_m[side] = self.before_m[side], clear_m
         if self.enough_m is None:
             return clear_m - before_m > RISE_M
-        return clear_m - before_m > NEAR_RISE_M and clear_m >= self.enough_m
+        return clear_m - before_m > TURN_PLACE_RISE_M and clear_m >= self.enough_m
 
 
 Mode = Literal["chance", "enter", "search"]
 
-SHARES = (1.0, 0.5, 0.25, 0.125)
-"""In a narrow place the robot accepts these fractions of SHORTEST_M and of the stopping distance, in order."""
+CLEARANCE_SHARES = (1.0, 0.5, 0.25, 0.125)
+"""In a narrow place the robot accepts these fractions of MIN_CLEARANCE_M and of the stopping distance, in order."""
 STOP_DISTANCE_M = 0.04  # The robot stops when a range ray shows less room than this in front of its body [m]
-CAUTION = (1.0, 0.5, 0.25, 0.12, 0.06)
+TURN_RATE_SHARES = (1.0, 0.5, 0.25, 0.12, 0.06)
 """Fractions of the turn rate at which the robot looks for a clear heading, tried in order."""
-FURTHER_RAD = 0.3
+EXTRA_TURN_RAD = 0.3
 """After the first clear heading the robot turns on by up to this [rad], so as not to graze what blocked it."""
-SHORTEST_M = 0.16  # A heading is accepted when at least this distance is clear ahead [m]
-HEADINGS = 12  # Random headings among which the robot chooses
-TOWARDS_RAD = 0.6 * np.pi  # To search, the robot turns by this to one side, then back until the path is clear [rad]
-GRAZE_RAD = 0.05
+MIN_CLEARANCE_M = 0.16  # A heading is accepted when at least this distance is clear ahead [m]
+CANDIDATE_HEADINGS = 12  # Random headings among which the robot chooses
+SEARCH_TURN_RAD = 0.6 * np.pi  # To search, the robot turns by this to one side, then back until the path is clear [rad]
+SEARCH_EXTRA_TURN_RAD = 0.05
 """In a search the robot turns on past the first clear heading by only this at most [rad], so that it grazes walls."""
 
 
@@ -173,11 +173,11 @@ def _turn_on(
 ) -> float | None:
     """Turn on in this direction to where enough is clear, and up to ``further_rad`` past it; returns what
     ``turn_to_clear`` does."""
-    for share in SHARES:
-        enough_m, stop_m = SHORTEST_M * share, STOP_DISTANCE_M * share
+    for share in CLEARANCE_SHARES:
+        enough_m, stop_m = MIN_CLEARANCE_M * share, STOP_DISTANCE_M * share
         # The range of clear headings may be smaller than the overshoot of a fast turn: each try turns more slowly and
         # less far past it.
-        for caution in CAUTION:
+        for caution in TURN_RATE_SHARES:
             if look(robot, REACH_M) - stop_m >= enough_m:
                 return stop_m
             further = sense * rng.uniform(0.0, further_rad) * caution
@@ -198,7 +198,7 @@ def is_staler_aside(robot: Robot, visits: Visits, side: int, travelled_m: float,
     """
     aside = side * np.pi / 2
     ahead_m, aside_m = look(robot, REACH_M) - stop_m, look(robot, REACH_M, aside) - stop_m
-    if aside_m < SHORTEST_M:
+    if aside_m < MIN_CLEARANCE_M:
         return False
     return visits.staleness(aside, aside_m, travelled_m) > visits.staleness(0.0, ahead_m, travelled_m)
 
@@ -208,19 +208,19 @@ def _aim(
 ) -> tuple[float, float, float]:
     """Angle to turn [rad], direction to turn on in if that is not clear, and how far to turn past what blocks [rad]."""
     if mode.kind == "search":
-        return mode.side * TOWARDS_RAD, -mode.side, GRAZE_RAD
+        return mode.side * SEARCH_TURN_RAD, -mode.side, SEARCH_EXTRA_TURN_RAD
     angle = mode.side * np.pi / 2 if mode.kind == "enter" else _choose_heading(robot, settings, rng, visits)
-    return angle, np.sign(angle), FURTHER_RAD
+    return angle, np.sign(angle), EXTRA_TURN_RAD
 
 
 def _choose_heading(robot: Robot, settings: DriveSettings, rng: np.random.Generator, visits: Visits) -> float:
     """Of some random headings, the one over the floor that was visited longest ago [rad], to the left of ahead."""
     if settings.headings == "random":
         return rng.uniform(-np.pi, np.pi)
-    drawn = rng.uniform(-np.pi, np.pi, HEADINGS)
+    drawn = rng.uniform(-np.pi, np.pi, CANDIDATE_HEADINGS)
     clear_m = [look(robot, REACH_M, angle) - STOP_DISTANCE_M for angle in drawn]
     stale = [
-        visits.staleness(angle, ahead_m) if ahead_m >= SHORTEST_M else 0.0
+        visits.staleness(angle, ahead_m) if ahead_m >= MIN_CLEARANCE_M else 0.0
         for angle, ahead_m in zip(drawn, clear_m, strict=True)
     ]
     return float(drawn[np.argmax(stale)])

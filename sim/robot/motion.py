@@ -12,13 +12,13 @@ ACCELERATION_MPS2 = 0.5
 TURN_ACCELERATION_RPS2 = 6.0
 REST_S = 0.12  # The robot pauses this long after a stop, until it no longer rocks [s]
 PATIENCE_TURNS = 4  # A turn is given up if it takes longer than this many full turns would
-CLOSE_RAD, CLOSE_M = 0.01, 0.002
+GOAL_TOLERANCE_RAD, GOAL_TOLERANCE_M = 0.01, 0.002
 """The robot stops when it is nearer than this to its goal: a controller that acts once per period can do no better."""
-SEEN_M = 0.01  # Ranges that differ by less than this count as unchanged [m]
-AHEAD_M = 0.3
+RANGE_TOLERANCE_M = 0.01  # Ranges that differ by less than this count as unchanged [m]
+ARC_CLEARANCE_M = 0.3
 """On an arc this much stays clear straight ahead [m]: the robot looks where it heads, and turns as it drives."""
-BACK_M = 0.06
-BACK_MPS = 0.08
+ROLL_BACK_M = 0.06
+ROLL_BACK_MPS = 0.08
 
 
 class Robot(Protocol):
@@ -64,11 +64,11 @@ def turn(
     while robot.time() < deadline:
         turned = abs(wheel_motion(robot.wheel_angle() - start, robot.body)[1])
         if until_clear_m is not None and goal == np.inf:
-            if look(robot, until_clear_m + robot.body.radius_m + SEEN_M) >= until_clear_m:
+            if look(robot, until_clear_m + robot.body.radius_m + RANGE_TOLERANCE_M) >= until_clear_m:
                 goal = turned + abs(angle) + rate**2 / (2 * TURN_ACCELERATION_RPS2)
             elif turned > 2 * np.pi:
                 break
-        if goal - turned < CLOSE_RAD:
+        if goal - turned < GOAL_TOLERANCE_RAD:
             break
         rate = ramp(rate, highest, TURN_ACCELERATION_RPS2, goal - turned, period)
         robot.step(wheel_speeds(0.0, np.copysign(rate, angle), robot.body))
@@ -94,8 +94,8 @@ def drive_arc(robot: Robot, settings: DriveSettings, length_m: float, curvature:
     deadline = robot.time() + 2 * (length_m / settings.speed_mps + settings.speed_mps / ACCELERATION_MPS2)
     while robot.time() < deadline and not robot.bumped():
         rest_m = length_m - travelled(robot, start)
-        clear_m = look(robot, rest_m + AHEAD_M + robot.body.radius_m + SEEN_M) - AHEAD_M
-        if min(rest_m, clear_m) < CLOSE_M:
+        clear_m = look(robot, rest_m + ARC_CLEARANCE_M + robot.body.radius_m + RANGE_TOLERANCE_M) - ARC_CLEARANCE_M
+        if min(rest_m, clear_m) < GOAL_TOLERANCE_M:
             break
         speed = ramp(speed, settings.speed_mps, ACCELERATION_MPS2, min(rest_m, clear_m), period)
         robot.step(wheel_speeds(speed, speed * curvature, robot.body))
@@ -108,9 +108,9 @@ def drive_arc(robot: Robot, settings: DriveSettings, length_m: float, curvature:
 
 def back_off(robot: Robot) -> None:
     """Roll back a little from the contact."""
-    start, deadline = robot.wheel_angle(), robot.time() + 3 * BACK_M / BACK_MPS
-    while travelled(robot, start) > -BACK_M and robot.time() < deadline:
-        robot.step(wheel_speeds(-BACK_MPS, 0.0, robot.body))
+    start, deadline = robot.wheel_angle(), robot.time() + 3 * ROLL_BACK_M / ROLL_BACK_MPS
+    while travelled(robot, start) > -ROLL_BACK_M and robot.time() < deadline:
+        robot.step(wheel_speeds(-ROLL_BACK_MPS, 0.0, robot.body))
     halt(robot)
 
 

@@ -48,11 +48,11 @@ def _support(model: mujoco.MjModel, data: mujoco.MjData, geom: int, direction: n
     return direction @ data.geom_xpos[geom] + reach
 
 
-EXACT_M = 0.001  # Wheels and camera may be this far from where they must be [m]
-BUMPER_M = 0.045  # The bumper's sensor reaches this far beyond the body [m]
-LOWEST_M, HIGHEST_M = 0.005, 2.0  # It begins above what rolls on the floor, and ends above any robot [m]
+TOLERANCE_M = 0.001  # Wheels and camera may be this far from where they must be [m]
+BUMPER_REACH_M = 0.045  # The bumper's sensor reaches this far beyond the body [m]
+BUMPER_BOTTOM_M, BUMPER_TOP_M = 0.005, 2.0  # It begins above what rolls on the floor, and ends above any robot [m]
 PRIORITY = 2
-UPWARD = (0.0, 0.5**0.5, 0.5**0.5, 0.0)  # Orientation of the camera that dm_env shows, whose axes are 0 1 0 and 1 0 0
+UPWARD_ORIENTATION = (0.0, 0.5**0.5, 0.5**0.5, 0.0)  # Of the camera of dm_env: its axes are 0 1 0 and 1 0 0
 _SERVO = ("gaintype", "gainprm", "biastype", "biasprm", "forcelimited", "forcerange", "ctrllimited", "ctrlrange")
 
 
@@ -63,7 +63,7 @@ def load_own_robot(robot: RobotSettings) -> mujoco.MjSpec:
     """
     spec = _read(robot)
     _add_camera(spec)
-    _add_bumpers(spec, describe_own(robot).radius_m + BUMPER_M)
+    _add_bumpers(spec, describe_own(robot).radius_m + BUMPER_REACH_M)
     return spec
 
 
@@ -73,7 +73,7 @@ def _add_camera(spec: mujoco.MjSpec) -> None:
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     place = data.site(CAMERA_SITE).xpos - data.body(BASE).xpos  # of a site that may be in a part of the body
-    spec.body(BASE).add_camera(name=CAMERA, pos=place, quat=UPWARD, fovy=90.0)
+    spec.body(BASE).add_camera(name=CAMERA, pos=place, quat=UPWARD_ORIENTATION, fovy=90.0)
 
 
 def _add_bumpers(spec: mujoco.MjSpec, radius_m: float) -> None:
@@ -81,8 +81,8 @@ def _add_bumpers(spec: mujoco.MjSpec, radius_m: float) -> None:
     model = spec.compile()
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    base, middle = model.body(BASE).id, np.array([0.0, 0.0, (LOWEST_M + HIGHEST_M) / 2])
-    size = (radius_m, HIGHEST_M - middle[2], 0.0)
+    base, middle = model.body(BASE).id, np.array([0.0, 0.0, (BUMPER_BOTTOM_M + BUMPER_TOP_M) / 2])
+    size = (radius_m, BUMPER_TOP_M - middle[2], 0.0)
     fixed = [(body, body.id) for body in spec.bodies if model.body_weldid[body.id] == base]  # elements change the ids
     for number, (body, row) in enumerate(fixed):
         back, turn = data.xmat[row].reshape(3, 3).T, np.empty(4)
@@ -106,15 +106,19 @@ def describe_own(robot: RobotSettings) -> Body:
     mujoco.mj_forward(model, data)
     left, right = (data.xanchor[model.joint(name).id] for name in WHEELS)
     axes = np.array([data.xaxis[model.joint(name).id] for name in WHEELS])
-    if not np.allclose(axes, (0.0, 1.0, 0.0), atol=EXACT_M):
+    if not np.allclose(axes, (0.0, 1.0, 0.0), atol=TOLERANCE_M):
         raise _refuse(robot, "both wheels' joints must have the axis 0 1 0, so that they turn forward")
     middle = (left + right) / 2
-    if left[1] <= right[1] or np.abs([middle[0], middle[1], left[0] - right[0]]).max() > EXACT_M:
+    if left[1] <= right[1] or np.abs([middle[0], middle[1], left[0] - right[0]]).max() > TOLERANCE_M:
         raise _refuse(
             robot, "its body's origin must be under the middle of its wheel axle, x forward, left wheel at y > 0"
         )
     camera = data.site(CAMERA_SITE)
-    if np.hypot(*camera.xpos[:2]) > EXACT_M or camera.xmat[8] < 1.0 - EXACT_M or camera.xmat[0] < 1.0 - EXACT_M:
+    if (
+        np.hypot(*camera.xpos[:2]) > TOLERANCE_M
+        or camera.xmat[8] < 1.0 - TOLERANCE_M
+        or camera.xmat[0] < 1.0 - TOLERANCE_M
+    ):
         where = "above the middle of the axle, upright, its x axis forward; camera_mount moves and tilts it"
         raise _refuse(robot, f"robot.camera_site {shorten(robot.camera_site)} must be {where}")
     aside_m, up_m = reach_of_geoms(model, data)

@@ -15,9 +15,9 @@ from sim.robot.model import RADIUS_M
 from sim.rooms.spec import compile_solid
 
 REACH_M = 3.5  # Longest distance measured [m] (LDS-01: 3.5 m); a ray that meets nothing nearer reads this
-LOWEST_M = 0.015  # Height of the lowest fan [m]: it sees the foot of a lamp, but not a rug
-HIGHEST_GAP_M = 0.25  # Largest distance between two fans [m]
-SIDE_M = 0.008  # What is further to the side of the body than this does not count as ahead [m]
+LOWEST_FAN_M = 0.015  # Height of the lowest fan [m]: it sees the foot of a lamp, but not a rug
+MAX_FAN_GAP_M = 0.25  # Largest distance between two fans [m]
+SIDE_TOLERANCE_M = 0.008  # What is further to the side of the body than this does not count as ahead [m]
 
 
 class Fan(NamedTuple):
@@ -34,11 +34,11 @@ class Fan(NamedTuple):
 @lru_cache
 def lay_fan(radius_m: float) -> Fan:
     """The rays of a robot of this radius [m]."""
-    front = np.arctan(np.linspace(-1, 1, 13) * (radius_m + SIDE_M) / 0.30)
+    front = np.arctan(np.linspace(-1, 1, 13) * (radius_m + SIDE_TOLERANCE_M) / 0.30)
     side = np.linspace(front[-1], np.radians(85.0), 9)[1:]
     angle = np.concatenate([-side[::-1], front, side])
     cos, sin = np.cos(angle), np.sin(angle)
-    return Fan(angle, cos, sin, (radius_m + SIDE_M) / np.maximum(np.abs(sin), 1e-9))
+    return Fan(angle, cos, sin, (radius_m + SIDE_TOLERANCE_M) / np.maximum(np.abs(sin), 1e-9))
 
 
 ANGLE = lay_fan(RADIUS_M).angle  # Angles of the rays of the testbed's own robot [rad]
@@ -75,10 +75,10 @@ def fan_heights(height_m: float) -> np.ndarray:
 
     A robot too low for a fan at 0.10 m has two: the lowest, and one just below its top.
     """
-    top = max(height_m - 0.015, LOWEST_M)
+    top = max(height_m - 0.015, LOWEST_FAN_M)
     second = min(0.10, top)
-    count = int(np.ceil((top - second) / HIGHEST_GAP_M)) + 1
-    return np.concatenate([[LOWEST_M], np.linspace(second, top, count)])
+    count = int(np.ceil((top - second) / MAX_FAN_GAP_M)) + 1
+    return np.concatenate([[LOWEST_FAN_M], np.linspace(second, top, count)])
 
 
 def clear_length(distance: np.ndarray, radius_m: float = RADIUS_M) -> float:

@@ -25,7 +25,7 @@ from sim.robot_log.mcap_file import (
     make_range,
     make_transforms,
 )
-from sim.robot_log.observe import COLUMNS, JOINT_S, PER_PART, RECORDER, ROWS, Clock, Observed, read_pictures
+from sim.robot_log.observe import COLUMNS, JOINT_S, PART_PICTURES, RECORDER, ROWS, Clock, Observed, read_pictures
 from sim.sensors.camera.lens import make_lens
 from sim.sensors.encoder import read_encoders
 from sim.settings import SimSettings
@@ -61,7 +61,7 @@ def _list_camera_topics(seen: Observed, settings: SimSettings, seed: int, parts:
     read = lru_cache(maxsize=1)(read_pictures)  # rows are asked for in order
 
     def take_picture(row: int) -> Any:
-        return make_compressed_image(stamp[row], read(parts[row // PER_PART])[row % PER_PART], JPEG_FORMAT)
+        return make_compressed_image(stamp[row], read(parts[row // PART_PICTURES])[row % PART_PICTURES], JPEG_FORMAT)
 
     def describe_camera(row: int) -> Any:
         return make_camera_info(stamp[row], (ROWS, COLUMNS), lens.focal_length(ROWS / 2), lens.k)

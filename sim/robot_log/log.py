@@ -28,7 +28,7 @@ from sim.robot.model import TRACK_M, WHEEL_RADIUS_M
 from sim.robot_log.content import JOINTS, list_topics
 from sim.robot_log.mcap_file import check_file, holds, write_mcap
 from sim.robot_log.observe import (
-    PER_PART,
+    PART_PICTURES,
     ROWS,
     Observed,
     TracedWorld,
@@ -206,8 +206,8 @@ def _drive(world: TracedWorld, seed: int, recording: Path, progress: Report) -> 
 def _lay_out(settings: SimSettings, seed: int, states: np.ndarray, work: Path) -> Iterator[Part]:
     """Divide the pictures at states (n, nq) into parts."""
     leans = draw_leans(settings.camera_mount, len(states), stream(seed, "log", "lean"))
-    for number, first in enumerate(range(0, len(states), PER_PART)):
-        rows = slice(first, first + PER_PART)
+    for number, first in enumerate(range(0, len(states), PART_PICTURES)):
+        rows = slice(first, first + PART_PICTURES)
         path = work / f"picture-{number:06d}.npz"
         yield Part(settings, states[rows], path, None if leans is None else leans[rows])
 
@@ -218,7 +218,7 @@ def _draw(renderers: Renderers, parts: Sequence[Part], progress: Report) -> None
         renderers.give(part)
 
     def tell(drawn: int) -> None:
-        progress("log render", (len(parts) - len(missing) + drawn) * PER_PART, len(parts) * PER_PART)
+        progress("log render", (len(parts) - len(missing) + drawn) * PART_PICTURES, len(parts) * PART_PICTURES)
 
     tell(0)
     renderers.finish(tell)

@@ -136,8 +136,8 @@ def _turn_about_z(yaw: float) -> Any:
 MAGIC = b"\x89MCAP0\r\n"
 LIBRARY = "deepgps "
 """Beginning of the name of the writing program in the header of our files; a key of what they hold follows."""
-HEAD = 256  # Bytes at the beginning of a file that hold its header
-EVERY = 2000  # Messages between two reports of progress
+HEADER_BYTES = 256  # Bytes at the beginning of a file that hold its header
+PROGRESS_STRIDE = 2000  # Messages between two reports of progress
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,7 @@ def check_file(path: Path) -> None:
     """Raise InputError unless a log may be written to this path."""
     if path.suffix != ".mcap":
         raise InputError(f"{path}: the name of a log must end in .mcap")
-    check_overwrite(path, _is_ours, HEAD)
+    check_overwrite(path, _is_ours, HEADER_BYTES)
 
 
 def holds(path: Path, key: str) -> bool:
@@ -161,7 +161,7 @@ def holds(path: Path, key: str) -> bool:
     if not path.is_file():
         return False
     with path.open("rb") as file:
-        return _is_ours(head := file.read(HEAD)) and f"{LIBRARY}{key}".encode() in head
+        return _is_ours(head := file.read(HEADER_BYTES)) and f"{LIBRARY}{key}".encode() in head
 
 
 def write_mcap(path: Path, topics: Sequence[Topic], key: str, progress: Callable[[int, int], None]) -> None:
@@ -185,7 +185,7 @@ def _write(file: IO[bytes], topics: Sequence[Topic], key: str, progress: Callabl
     owner = [one for one in topics for _ in one.logged]
     number = np.concatenate([np.arange(len(topic.logged)) for topic in topics])
     for done, row in enumerate(np.argsort(logged, kind="stable").tolist()):
-        if done % EVERY == 0:
+        if done % PROGRESS_STRIDE == 0:
             progress(done, len(logged))
         one = owner[row]
         message, ns = one.make(int(number[row])), int(logged[row])

@@ -23,7 +23,7 @@ from sim.rng import stream
 from sim.robot.model import WHEELS
 from sim.robot.range_finder import ANGLE
 from sim.robot.world import RoomWorld
-from sim.rooms.spec import PREFIX
+from sim.rooms.spec import ROBOT_PREFIX
 from sim.sensors.camera.fisheye import Fisheye
 from sim.settings import DeploymentSettings, SimSettings
 
@@ -65,7 +65,7 @@ class TracedWorld(RoomWorld):
 
     def __init__(self, settings: SimSettings, room: mujoco.MjSpec | None = None) -> None:
         super().__init__(settings.model_copy(update={"deployment": DeploymentSettings()}), room, drawn=False)
-        self.wheels = [self.model.joint(PREFIX + name).qposadr[0] for name in WHEELS]
+        self.wheels = [self.model.joint(ROBOT_PREFIX + name).qposadr[0] for name in WHEELS]
         self._kept: list[tuple[float, np.ndarray]] = []
 
     def advance(self, steps: int) -> None:
@@ -153,7 +153,7 @@ ROWS, COLUMNS = 480, 640
 """Size of the image (TurtleBot3: 640 x 480); the round picture is as high and in its middle [px]."""
 FACE_PX = 160  # Side of the faces that it is drawn from: half of what would resolve each of its pixels, for speed
 QUALITY = 85
-PER_PART = 256
+PART_PICTURES = 256
 JPEG, END = "jpeg", "end"
 Sense = Callable[[np.ndarray, np.ndarray | None], np.ndarray]
 """(state (nq,), lean of the camera (2,) [rad] or None) -> image (ROWS, COLUMNS, 3) RGB."""

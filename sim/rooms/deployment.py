@@ -9,8 +9,8 @@ from sim.rooms.free_space import collides
 from sim.rooms.spec import freeze
 from sim.settings import DeploymentSettings
 
-MOVABLE = ("armchair", "barrel", "chair", "coat_stand", "coffee_table", "crates", "floor_lamp", "office_chair")
-MOVABLE += ("plant", "stool")
+MOVABLE_KINDS = ("armchair", "barrel", "chair", "coat_stand", "coffee_table", "crates", "floor_lamp", "office_chair")
+MOVABLE_KINDS += ("plant", "stool")
 """Pieces that a person would push aside."""
 STEP_M = 0.05  # Spacing of collision checks along the path of a pushed piece [m]
 TRIES = 24
@@ -33,7 +33,7 @@ def move_furniture(room: mujoco.MjSpec, moved_m: float, seed: int = 0) -> mujoco
     solid = np.flatnonzero(collides(model) & (model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE))
     pushed = 0
     for body in spec.bodies:
-        if body.name.rpartition("_")[0] in MOVABLE:
+        if body.name.rpartition("_")[0] in MOVABLE_KINDS:
             angles = rng.uniform(-np.pi, np.pi, TRIES)  # as many for each piece, whichever it takes
             ways = moved_m * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
             number = model.body(body.name).id

@@ -8,10 +8,10 @@ from sim.errors import InputError
 from sim.geometry import FreeSpace
 
 CLEARANCE_M = 0.005  # The wheels climb over anything lower than this [m]: the floor itself, rugs, thresholds
-LARGEST_CELLS = 4_000_000
-COARSEST = 32
+MAX_CELLS = 4_000_000
+MAX_BLOCK_CELLS = 32
 START = "start"
-_FLAT = 1e-6
+_EPSILON = 1e-6
 
 
 def find_free_space(model: mujoco.MjModel, radius_m: float, height_m: float, cell_m: float = 0.02) -> FreeSpace:
@@ -83,7 +83,7 @@ def _below(model: mujoco.MjModel, data: mujoco.MjData, geom: int, z_m: float) ->
     """Whether a geom has nothing above the height ``z_m``."""
     if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE:
         normal = data.geom_xmat[geom].reshape(3, 3)[:, 2]
-        return bool(normal[2] > 1 - _FLAT and data.geom_xpos[geom, 2] <= z_m)
+        return bool(normal[2] > 1 - _EPSILON and data.geom_xpos[geom, 2] <= z_m)
     return bool(_box_of(model, data, geom)[1][2] <= z_m)
 
 
@@ -135,10 +135,10 @@ def _search_area(probe: _Probe, radius_m: float, cell_m: float) -> tuple[np.ndar
     low = np.floor((np.min(corners, axis=0)[:2] - border) / cell_m)
     high = np.ceil((np.max(corners, axis=0)[:2] + border) / cell_m)
     columns, rows = (high - low + 1).tolist()
-    if not rows * columns <= LARGEST_CELLS:  # NaN is neither larger nor smaller
+    if not rows * columns <= MAX_CELLS:  # NaN is neither larger nor smaller
         raise InputError(
             f"room: {columns * cell_m:.6g} m x {rows * cell_m:.6g} m is too large: at most "
-            f"{LARGEST_CELLS * cell_m**2:.0f} m2 at cells of {cell_m} m"
+            f"{MAX_CELLS * cell_m**2:.0f} m2 at cells of {cell_m} m"
         )
     return low * cell_m, (int(rows), int(columns))
 
@@ -146,10 +146,10 @@ def _search_area(probe: _Probe, radius_m: float, cell_m: float) -> tuple[np.ndar
 def _block(blocked: np.ndarray, probe: _Probe, geom: int, origin: np.ndarray, cell_m: float) -> None:
     """Mark the cells in which the probe touches one geom, starting with coarse blocks."""
     rows, columns = blocked.shape
-    size = COARSEST
+    size = MAX_BLOCK_CELLS
     todo = [(r, c) for r in range(0, rows, size) for c in range(0, columns, size)]
     while todo:
-        half_diagonal = (size - 1) / 2 * cell_m * np.sqrt(2.0) + _FLAT * (size > 1)
+        half_diagonal = (size - 1) / 2 * cell_m * np.sqrt(2.0) + _EPSILON * (size > 1)
         nearer = []
         for row, column in todo:
             if blocked[row : row + size, column : column + size].all():

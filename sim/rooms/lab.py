@@ -15,7 +15,7 @@ POSTS = 3
 POST_M, POST_HEIGHT_M = 0.26, 1.3
 POST_TAGS_M = (0.3, 0.72)  # Heights of the tags on each face of a post [m]
 WALL_TAGS_M = (0.22, 1.25)  # Lowest and highest centre of a tag on a wall [m]
-PLATE_THICK_M = 0.006
+PLATE_THICKNESS_M = 0.006
 TRIES = 40
 
 
@@ -55,7 +55,7 @@ def post(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, first: int)
             number = first + len(POST_TAGS_M) * face + row
             place = (float(out * np.sin(yaw)), float(-out * np.cos(yaw)), z)
             _plate(body, number, paper(look.spec, draw_tag(number)), place, yaw)
-    side = POST_M + 2 * PLATE_THICK_M
+    side = POST_M + 2 * PLATE_THICKNESS_M
     return Footprint(side, side, POST_HEIGHT_M)
 
 
@@ -70,9 +70,9 @@ def wall_tag(
 def _plate(body: mujoco.MjsBody, number: int, material: str, at: tuple[float, float, float], yaw: float) -> None:
     """Add a tag's plate with its back at ``at``, turned by ``yaw`` from facing -y, and a site with the tag's frame."""
     out = np.array((np.sin(yaw), -np.cos(yaw), 0.0))
-    x, y, z = (np.array(at) + out * PLATE_THICK_M / 2).tolist()
-    box(body, (x, y, z), (PLATE_M, PLATE_THICK_M, PLATE_M), material, quat=turned(yaw))
-    front = np.array(at) + out * PLATE_THICK_M
+    x, y, z = (np.array(at) + out * PLATE_THICKNESS_M / 2).tolist()
+    box(body, (x, y, z), (PLATE_M, PLATE_THICKNESS_M, PLATE_M), material, quat=turned(yaw))
+    front = np.array(at) + out * PLATE_THICKNESS_M
     body.add_site(name=f"tag_{number}", pos=front, quat=multiply(turned(yaw), turned(np.pi / 2, (1.0, 0.0, 0.0))))
 
 

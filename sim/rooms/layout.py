@@ -14,15 +14,15 @@ from sim.rooms.furniture.primitives import Footprint
 from sim.rooms.outline import Wall, slabs
 
 CELL_M = 0.05
-SPARE = 0.41
+CELL_SLACK = 0.41
 """Part of a cell by which a room may be larger than its cells: furniture against a wall is 2 cm away from it."""
 PATH_RADIUS_M = 0.3  # Half the width that a person needs to walk
-CUT_OFF_SHARE = 0.1
+MAX_CUT_OFF_SHARE = 0.1
 """Walkable floor that is cut off from the door may be at most this fraction of the floor that is not."""
-GAP_CELLS = 2  # Gaps between pieces may be at most this wide..
-BROOM_CELLS = 7
+MAX_GAP_CELLS = 2  # Gaps between pieces may be at most this wide..
+MIN_PASSAGE_CELLS = 7
 """...or at least this wide, enough for a broom; floor behind a gap in between counts as an unswept region."""
-NEAR_WALL_M = 0.3  # A piece nearer to a wall than this hides what hangs there
+WALL_PROXIMITY_M = 0.3  # A piece nearer to a wall than this hides what hangs there
 
 
 class Pose(NamedTuple):
@@ -56,7 +56,7 @@ class Layout:
         self.walls = [Wall(a, b) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)]
         self.low = corners.min(axis=0)
         size = corners.max(axis=0) - self.low
-        columns, rows = np.ceil(size / CELL_M - SPARE).astype(int)
+        columns, rows = np.ceil(size / CELL_M - CELL_SLACK).astype(int)
         self.inside = np.zeros((rows, columns), bool)
         for left, right, bottom, top in slabs(corners):
             self._cells(left, right, bottom, top, self.inside)[:] = True
@@ -234,7 +234,7 @@ class Layout:
         self._footprint(piece, pose, taken)[:] = True
         joined, cut_off = self._walk(taken)
         # If earlier pieces already cut off more floor than that, this one must not cut off any more.
-        if not joined.any() or cut_off > max(CUT_OFF_SHARE * joined.sum(), self.cut_off):
+        if not joined.any() or cut_off > max(MAX_CUT_OFF_SHARE * joined.sum(), self.cut_off):
             return False
         if self._count_unswept(taken) > self.unswept:
             return False
@@ -255,12 +255,12 @@ class Layout:
     def _count_unswept(self, taken: np.ndarray) -> int:
         """Count the cells behind a gap that is too wide to count as closed and too narrow for a broom."""
         clear = self.inside & ~taken
-        broom = ndimage.binary_erosion(clear, np.ones((BROOM_CELLS, BROOM_CELLS)))
+        broom = ndimage.binary_erosion(clear, np.ones((MIN_PASSAGE_CELLS, MIN_PASSAGE_CELLS)))
         label = np.zeros(clear.shape, np.int32)
         ndimage.label(broom, output=label)
         first = 0 if self.entrance is None else label[self.cell(self.entrance)]
-        swept = ndimage.binary_dilation((label == first) & (first > 0), np.ones((BROOM_CELLS, BROOM_CELLS)))
-        open_floor = ndimage.binary_opening(clear, np.ones((GAP_CELLS + 1, GAP_CELLS + 1)))
+        swept = ndimage.binary_dilation((label == first) & (first > 0), np.ones((MIN_PASSAGE_CELLS, MIN_PASSAGE_CELLS)))
+        open_floor = ndimage.binary_opening(clear, np.ones((MAX_GAP_CELLS + 1, MAX_GAP_CELLS + 1)))
         return int(np.logical_and(open_floor, np.logical_not(swept)).sum())
 
     def _behind(self, piece: Footprint, pose: Pose) -> list[tuple[Wall, tuple[float, float, float, float]]]:
@@ -272,7 +272,7 @@ class Layout:
             away = (corners - wall.middle) @ wall.normal
             x = (corners - wall.middle) @ wall.along
             beside = x.max() < -wall.length_m / 2 or x.min() > wall.length_m / 2
-            if -0.01 < away.min() < NEAR_WALL_M and not beside:
+            if -0.01 < away.min() < WALL_PROXIMITY_M and not beside:
                 hidden.append((wall, (float(x.min()), float(x.max()), 0.0, piece.height_m)))
         return hidden
 

@@ -8,10 +8,10 @@ import numpy as np
 from sim.errors import InputError, one_line, quote, shorten
 from sim.rooms.free_space import collides
 from sim.rooms.mjcf_files import list_files
-from sim.rooms.spec import PREFIX, make_static
+from sim.rooms.spec import ROBOT_PREFIX, make_static
 
 FLOOR = "floor"
-_SUPPORT_M, _BELOW_M = 0.001, 0.002
+_FLOOR_TOLERANCE_M, _PLANE_DEPTH_M = 0.001, 0.002
 """How far from z = 0 the top of a floor may be, and how far below z = 0 the plane under boxes is [m]."""
 SLOW_TRIANGLES = 100_000  # Number of triangles above which a warning says that the room draws slowly
 
@@ -37,7 +37,7 @@ def load_room(path: Path) -> mujoco.MjSpec:
         raise InputError(f"{what}: MuJoCo cannot read it: {shorten(one_line(error), 400)}") from None
     if (floors := _find_floors(model)) <= {mujoco.mjtGeom.mjGEOM_BOX}:
         name = FLOOR if spec.geom(FLOOR) is None else f"{FLOOR}_below"
-        z_m = -_BELOW_M if floors else 0.0
+        z_m = -_PLANE_DEPTH_M if floors else 0.0
         spec.worldbody.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_PLANE, size=(0, 0, 1), pos=(0, 0, z_m), group=3)
     return spec
 
@@ -46,8 +46,8 @@ def _refuse_robot_names(spec: mujoco.MjSpec) -> None:
     """Refuse names that the robot's own parts may have."""
     named = (spec.bodies, spec.geoms, spec.sites, spec.cameras, spec.materials, spec.textures, spec.meshes)
     for element in [element for group in named for element in group]:
-        if element.name.startswith(PREFIX):
-            raise InputError(f"the name {quote(element.name)} begins with {PREFIX}, as the robot's own parts do")
+        if element.name.startswith(ROBOT_PREFIX):
+            raise InputError(f"the name {quote(element.name)} begins with {ROBOT_PREFIX}, as the robot's own parts do")
 
 
 def list_notes(model: mujoco.MjModel) -> list[str]:
@@ -80,6 +80,6 @@ def _find_floors(model: mujoco.MjModel) -> set[mujoco.mjtGeom]:
             top += np.abs(up) @ model.geom_size[geom]
         elif kind != mujoco.mjtGeom.mjGEOM_HFIELD and (kind != mujoco.mjtGeom.mjGEOM_PLANE or up[2] <= 0.9999):
             continue
-        if abs(top) < _SUPPORT_M:
+        if abs(top) < _FLOOR_TOLERANCE_M:
             found.add(kind)
     return found

@@ -21,11 +21,11 @@ import numpy as np
 from sim.errors import InputError, one_line, shorten
 
 Kind = Literal["room", "robot"]
-CPU_S, LONGEST_S = 10, 60.0  # Time that a trial may compute, and that it may take on a busy machine [s]
+CPU_S, TRIAL_S = 10, 60.0  # Time that a trial may compute, and that it may take on a busy machine [s]
 MEMORY_BYTES = 2 * 1024**3
-FARTHEST_M = 1e10  # Largest coordinate and size of a geom [m]
+MAX_COORDINATE_M = 1e10  # Largest coordinate and size of a geom [m]
 _FOLDERS = ("meshdir", "texturedir", "assetdir")
-_REFUSED = {"plugin": "plugins", "extension": "extensions", "flex": "flexible bodies", "flexcomp": "flexible bodies"}
+_REFUSALS = {"plugin": "plugins", "extension": "extensions", "flex": "flexible bodies", "flexcomp": "flexible bodies"}
 
 
 def list_files(path: Path, kind: Kind = "room") -> list[Path]:
@@ -56,7 +56,7 @@ def _try_out(path: str, kind: Kind, changed_ns: int, size: int) -> str:
     with TemporaryDirectory() as folder:
         try:
             done = subprocess.run(
-                command, cwd=folder, env=environment, capture_output=True, text=True, timeout=LONGEST_S, check=True
+                command, cwd=folder, env=environment, capture_output=True, text=True, timeout=TRIAL_S, check=True
             )
         except (subprocess.TimeoutExpired, subprocess.CalledProcessError):
             reason = "MuJoCo cannot compile it within 10 s of computing and 2 GB of memory"
@@ -73,8 +73,8 @@ def find_files(path: Path) -> list[Path]:
             continue
         root = roots[file] = _parse(file)
         for element in root.iter():
-            if element.tag in _REFUSED:
-                raise InputError(f"{_REFUSED[element.tag]} are not allowed (<{element.tag}>)")
+            if element.tag in _REFUSALS:
+                raise InputError(f"{_REFUSALS[element.tag]} are not allowed (<{element.tag}>)")
             if element.tag in {"include", "model"} and "file" in element.attrib:
                 queue += _find(element, "file", path.parent, {path.parent, file.parent})
     if roots[path].tag != "mujoco":
@@ -149,7 +149,7 @@ def try_out(path: Path, kind: Kind) -> list[Path]:
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     for values in (data.geom_xpos, data.geom_xmat, model.geom_size):
-        if not (np.abs(values) < FARTHEST_M).all():
+        if not (np.abs(values) < MAX_COORDINATE_M).all():
             raise InputError("a geom is infinitely large or far away")
     return files
 

@@ -17,13 +17,13 @@ from sim.rooms.layout import CELL_M, Layout, Pose
 from sim.rooms.outline import Wall
 from sim.rooms.placement import Room, hang, in_a_corner, near, paper_wall, stand, surface
 
-WALL_M, CORRIDOR_M, SIDE_M = 0.1, 1.6, 1.4
+WALL_M, CORRIDOR_M, SIDE_CORRIDOR_M = 0.1, 1.6, 1.4
 """Thickness of the walls inside, and widths of the corridor and of the side corridor [m]."""
 OFFICE_M = 3.6  # Usual width of an office [m]
 DOORWAY_M, DOORWAY_HEIGHT_M, FRAME_M = 0.9, 2.05, 0.07
-CLEAR_M = 0.6  # Floor before and behind a doorway that stays open [m]
-JOINED = 0.4  # Probability of a doorway between two neighbouring offices
-SHORTEST_M = 0.3  # Parts of walls shorter than this carry nothing [m]
+DOORWAY_CLEARANCE_M = 0.6  # Floor before and behind a doorway that stays open [m]
+DOORWAY_PROBABILITY = 0.4  # Probability of a doorway between two neighbouring offices
+MIN_WALL_M = 0.3  # Parts of walls shorter than this carry nothing [m]
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ def _plan(room: Room) -> tuple[Space, list[Space], list[Partition]]:
         for edge in edges[1:-1]:
             reach = (high - low - DOORWAY_M) / 2 - 0.3
             door = _snap(layout, 1, (low + high) / 2 + float(rng.uniform(-reach, reach)))
-            partitions.append(Partition(1, edge, low, high, (door,) if rng.random() < JOINED else ()))
+            partitions.append(Partition(1, edge, low, high, (door,) if rng.random() < DOORWAY_PROBABILITY else ()))
     return corridor, offices, partitions
 
 
@@ -128,7 +128,7 @@ def _divide(
 ) -> tuple[list[float], tuple[float, float] | None]:
     """Divide the floor along x: edges from end to end, and the pair between which the side corridor is, or None."""
     left, right = layout.corners[:, 0].min(), layout.corners[:, 0].max()
-    taken = SIDE_M + WALL_M if with_side else 0.0
+    taken = SIDE_CORRIDOR_M + WALL_M if with_side else 0.0
     count = max(round((right - left - taken) / OFFICE_M), 2)
     widths = 1.0 + rng.uniform(-0.08, 0.08, count)
     widths *= (right - left - taken) / widths.sum()
@@ -163,7 +163,7 @@ def _raise(room: Room, partition: Partition) -> None:
         if not number % 2:
             room.layout.close(*partition.span(low, high))
             continue
-        room.layout.keep(*partition.span(low, high, WALL_M + 2 * CLEAR_M))
+        room.layout.keep(*partition.span(low, high, WALL_M + 2 * DOORWAY_CLEARANCE_M))
         for edge in (low, high):
             _box(body, partition, edge, DOORWAY_HEIGHT_M / 2, (FRAME_M, DOORWAY_HEIGHT_M, WALL_M + 0.04), look.wood)
         size = (DOORWAY_M - FRAME_M, FRAME_M, WALL_M + 0.04)
@@ -218,7 +218,7 @@ def _part(room: Room, space: Space) -> Room:
         closed = ~room.layout.is_floor(behind)
         changes = np.flatnonzero(np.diff(np.concatenate([[0], closed.astype(int), [0]])))
         for first, last in changes.reshape(-1, 2):
-            if (last - first) * CELL_M >= SHORTEST_M:
+            if (last - first) * CELL_M >= MIN_WALL_M:
                 layout.walls.append(Wall(start + first * CELL_M * along, start + last * CELL_M * along))
     for side in layout.walls:
         at = (*side.middle, 0.0)

@@ -17,8 +17,8 @@ from sim.rooms.outline import Wall
 Made = TypeVar("Made")
 Piece = Callable[[mujoco.MjsBody, np.random.Generator, Look], Footprint]
 Hanging = Callable[[mujoco.MjsBody, np.random.Generator, Look], tuple[float, float, float]]
-NEIGHBOUR_M = 0.58  # Distance between the middles of neighbouring chairs, which leaves no dead-end gap between them [m]
-WALK_M = 0.5  # Free floor on each side of a free-standing piece, where the room allows it [m]
+CHAIR_SPACING_M = 0.58  # Between the middles of chairs: it leaves no dead-end gap [m]
+WALKWAY_M = 0.5  # Free floor on each side of a free-standing piece, where the room allows it [m]
 Finish = Literal["plaster", "wallpaper", "brick", "tile", "boards"]
 Overhead = Callable[[mujoco.MjsBody, np.random.Generator, Look], tuple[float, float]]
 
@@ -70,7 +70,7 @@ def centre(
     """Place a piece on the open floor, if possible where a person can walk around it."""
 
     def find(it: Footprint) -> Pose | None:
-        roomy = Footprint(it.width_m + 2 * WALK_M, it.depth_m + 2 * WALK_M, it.height_m)
+        roomy = Footprint(it.width_m + 2 * WALKWAY_M, it.depth_m + 2 * WALKWAY_M, it.height_m)
         pose = room.layout.in_the_open(roomy, room.rng, cost, turns)
         return pose if pose is not None else room.layout.in_the_open(it, room.rng, cost, turns)
 
@@ -180,7 +180,7 @@ def around(table: Pose, size: tuple[float, float], seats: int, rng: np.random.Ge
     """Return places for half pushed-in chairs: the long sides, then the ends, of a table of ``size`` (width, depth)."""
     c, s = np.cos(table.yaw), np.sin(table.yaw)
     along = 1 if size[0] < 1.3 else 2
-    offsets = [((i - (along - 1) / 2) * NEIGHBOUR_M, side) for i in range(along) for side in (-1, 1)]
+    offsets = [((i - (along - 1) / 2) * CHAIR_SPACING_M, side) for i in range(along) for side in (-1, 1)]
     places = [(x, side * (size[1] / 2 + 0.13), 0.0 if side > 0 else np.pi) for x, side in offsets]
     places += [(side * (size[0] / 2 + 0.13), 0.0, -side * np.pi / 2) for side in (-1, 1)]
     poses = []

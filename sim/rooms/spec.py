@@ -4,9 +4,9 @@ from typing import Any
 
 import mujoco
 
-PREFIX = "robot/"  # Prefix of the names of the robot's parts once it is attached to a room
+ROBOT_PREFIX = "robot/"  # Prefix of the names of the robot's parts once it is attached to a room
 DRAWN_GROUPS = (0, 1, 2)  # Groups of the geoms that cameras see
-NEAR_M = 0.01  # Distance from a camera within which nothing is drawn [m]
+NEAR_PLANE_M = 0.01  # Distance from a camera within which nothing is drawn [m]
 _SIZES = ("njmax", "nconmax", "nstack", "nkey", "nuserdata", "nuser_body", "nuser_jnt", "nuser_geom", "nuser_site")
 _SIZES += ("nuser_cam", "nuser_tendon", "nuser_actuator", "nuser_sensor")
 

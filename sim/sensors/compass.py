@@ -46,14 +46,14 @@ def find_top(low: np.ndarray, top: np.ndarray, high: np.ndarray) -> np.ndarray:
     return np.where(bend < 0.0, (low - high) / (2.0 * np.where(bend < 0.0, bend, -1.0)), 0.0)
 
 
-FINER = 16  # Samples of the correlation in a sector
-LEAST_WEIGHT = 1e-3  # Hypotheses with a smaller weight are left out
-LEAST_CONTRAST = 1e-6
+OVERSAMPLING = 16  # Samples of the correlation in a sector
+MIN_WEIGHT = 1e-3  # Hypotheses with a smaller weight are left out
+MIN_CONTRAST = 1e-6
 """An image whose variance is a smaller part of the mean square, after filtering, shows no direction."""
 MATCH_FLOOR = 1e-3
 """Unexplained part of the energy that two images of one place have at least: steps of brightness and sampling."""
-AHEAD_RAD = np.radians(25.0)  # How far from straight ahead or behind a sector still tells a segment's heading [rad]
-LASTING = 6.0  # Images after which the errors of consecutive turns on a segment have changed
+FORWARD_RAD = np.radians(25.0)  # So far off straight ahead or behind, a sector tells a segment's heading [rad]
+ERROR_DECAY_IMAGES = 6.0  # Images after which the errors of consecutive turns on a segment have changed
 CHUNK = 32  # Pairs that are compared at once, so that they fit into the processor's cache
 
 
@@ -71,8 +71,8 @@ class Hypotheses:
 def find_turns(first: np.ndarray, second: np.ndarray, lens: Lens) -> Hypotheses:
     """Find all angles by which the robot may have turned between polar images (P, rings, sectors, channels) of a lens.
 
-    Peaks of the correlation, weighted by solid angle, are sampled ``FINER`` times finer than the sectors; the likeliest
-    are refined by a robust fit. A peak has the profile likelihood of a Gaussian residual, (1 - correlation^2)^(-n / 2),
+    Peaks of the correlation, weighted by solid angle, are sampled ``OVERSAMPLING`` times finer than the sectors; the
+    likeliest are refined by a robust fit. A peak has the profile likelihood of a Gaussian residual, (1 - r^2)^(-n / 2),
     with n = 2 (sum p)^2 / sum p^2 independent values in the power spectrum p: rings and channels count as one. Raises
     InputError if the shapes differ or are not those of polar images.
     """
@@ -126,25 +126,25 @@ def follow(images: np.ndarray, lens: Lens) -> tuple[np.ndarray, np.ndarray]:
     """Heading of each image of a straight segment against the first, and its standard deviation, both (n,) [rad].
 
     It adds up the turns between consecutive images (n, rings, sectors, channels), a few centimetres apart. What the
-    robot passes pulls them to its side, so sectors count by 1 / (1 + (sin azimuth / sin ``AHEAD_RAD``)^2)^2: ahead and
-    behind, driving on moves no azimuth. The errors that are left last for a while: their correlation is taken as
-    exp(-distance / ``LASTING``). NaN from where an image is blank.
+    robot passes pulls them to its side, so sectors count by 1 / (1 + (sin azimuth / sin ``FORWARD_RAD``)^2)^2: ahead
+    and behind, driving on moves no azimuth. The errors that are left last for a while: their correlation is taken as
+    exp(-distance / ``ERROR_DECAY_IMAGES``). NaN from where an image is blank.
     """
     rings, sectors = images.shape[1:3]
     grid = make_grid(rings, sectors, lens)
-    aside = np.sin(2.0 * np.pi * (np.arange(sectors) + 0.5) / sectors) / np.sin(AHEAD_RAD)
+    aside = np.sin(2.0 * np.pi * (np.arange(sectors) + 0.5) / sectors) / np.sin(FORWARD_RAD)
     grid = replace(grid, weight=(grid.weight / (1.0 + aside**2) ** 2).astype(np.float32))
     turn, std = [np.zeros(1)], [np.zeros(1)]
     for start in range(0, len(images) - 1, CHUNK):
         some = images[start : start + CHUNK + 1]
         spectra = take_spectra(some, grid)
-        seen = _contrast(_sum(grid, spectra, spectra).real, some, sectors) > LEAST_CONTRAST
+        seen = _contrast(_sum(grid, spectra, spectra).real, some, sectors) > MIN_CONTRAST
         fitted = fit_rotation(spectra[:-1], spectra[1:], np.zeros(len(some) - 1), grid)
         turn.append(np.where(seen[:-1] & seen[1:], fitted.angle, np.nan))
         std.append(fitted.std)
     heading, scale = np.cumsum(np.concatenate(turn))[: len(images)], np.concatenate(std)[: len(images)]
     apart = np.abs(np.subtract.outer(np.arange(len(scale)), np.arange(len(scale))))
-    covariance = np.outer(scale, scale) * np.exp(-apart / LASTING)
+    covariance = np.outer(scale, scale) * np.exp(-apart / ERROR_DECAY_IMAGES)
     total = np.sqrt(np.diagonal(covariance.cumsum(axis=0).cumsum(axis=1)))
     return heading, np.where(np.isfinite(heading), total, np.nan)
 
@@ -158,8 +158,8 @@ def _find(first: np.ndarray, second: np.ndarray, lens: Lens) -> tuple[np.ndarray
     power = [square.real for square in squares]
     energy = np.sqrt(power[0].sum(axis=1) * power[1].sum(axis=1))
     contrast = np.minimum(_contrast(power[0], first, sectors), _contrast(power[1], second, sectors))
-    seen = contrast > LEAST_CONTRAST
-    fine = sectors * FINER
+    seen = contrast > MIN_CONTRAST
+    fine = sectors * OVERSAMPLING
     correlation = sample_spectra(cross, fine) * (fine / 2) / np.where(seen, energy, 1.0)[:, None]
     before, after = np.roll(correlation, 1, axis=1), np.roll(correlation, -1, axis=1)
     pair, place = np.nonzero((correlation > before) & (correlation >= after) & (correlation > 0.0) & seen[:, None])
@@ -171,7 +171,7 @@ def _find(first: np.ndarray, second: np.ndarray, lens: Lens) -> tuple[np.ndarray
     values = 2.0 * both.sum(axis=1) ** 2 / np.maximum((both**2).sum(axis=1), 1e-30)
     unexplained = np.maximum(1.0 - peak**2, 0.0) + MATCH_FLOOR
     score = -values[pair] / 2.0 * np.log(unexplained)
-    likely = score > _best(len(first), pair, score)[pair] + np.log(LEAST_WEIGHT)
+    likely = score > _best(len(first), pair, score)[pair] + np.log(MIN_WEIGHT)
     pair, angle, score = pair[likely], angle[likely], score[likely]
     fitted = fit_rotation(one[pair], two[pair], angle, grid)
     return pair, np.column_stack([wrap(fitted.angle), fitted.std, score, fitted.lean])
@@ -198,7 +198,7 @@ def _pack(count: int, pair: np.ndarray, found: np.ndarray) -> Hypotheses:
     """Hypotheses of ``count`` pairs from a list of angle, std, log-likelihood and lean (M, 5)."""
     weight = np.exp(found[:, 2] - _best(count, pair, found[:, 2])[pair])
     weight /= np.bincount(pair, weight, count)[pair]
-    kept = weight > LEAST_WEIGHT
+    kept = weight > MIN_WEIGHT
     pair, found, weight = pair[kept], found[kept], weight[kept]
     order = np.lexsort((-weight, pair))
     pair, found, weight = pair[order], found[order], weight[order] / np.bincount(pair, weight, count)[pair[order]]
@@ -212,7 +212,7 @@ def _pack(count: int, pair: np.ndarray, found: np.ndarray) -> Hypotheses:
     return Hypotheses(angle, std, share, lean)
 
 
-HORIZON = 0.1  # Cosine of the zenith angle within which rings count as at the camera's height
+HORIZON_COSINE = 0.1  # Cosine of the zenith angle within which rings count as at the camera's height
 ROUNDS = 12  # Reweighted solutions: each is exact to second order, and each leaves more of the outliers out
 
 
@@ -231,7 +231,7 @@ def compare_at_horizon(
     grid = make_grid(*first.shape[1:3], lens)
     cosine, last = grid.rays[:, :1, 2], np.cos(lens.half_angle - hidden)
     away = np.maximum(cosine, last) - max(float(last), 0.0)
-    weight = grid.weight * np.exp(-((away / HORIZON) ** 2)) * (cosine >= last)
+    weight = grid.weight * np.exp(-((away / HORIZON_COSINE) ** 2)) * (cosine >= last)
     grid = replace(grid, weight=weight.astype(np.float32))
 
     def fit() -> Iterator[np.ndarray]:

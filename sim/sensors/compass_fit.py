@@ -17,14 +17,14 @@ from scipy import fft
 from sim.sensors.camera.lens import Lens, polar_rays
 
 CUTOFF = 0.31  # Above this many cycles per sector, aliasing dominates: the filter is exp(-(k / (CUTOFF sectors))^2)
-SMOOTH = 6.0  # Slow changes of light around the circle are suppressed by k / (k + SMOOTH), k in cycles per turn
+HIGH_PASS_CYCLES = 6.0  # Slow changes of light are suppressed by k / (k + HIGH_PASS_CYCLES), k in cycles per turn
 BLOCKS = 32  # Errors of neighbouring sectors are correlated, within about this fraction of the circle
-FLOOR = 0.01  # Least standard deviation, in sectors: aliasing that two images share does not show in their difference
-CALIBRATION = 1.25
+MIN_STD_SECTORS = 0.01  # Aliasing that two images share does not show in their difference
+STD_FACTOR = 1.25
 """Factor on standard deviations, from rendered pairs: the derivatives are themselves measured, with errors."""
-MOST_COT = 2.0  # Limit of the cotangent of half the turn in the error that a lean of the camera leaves
+MAX_COT = 2.0  # Limit of the cotangent of half the turn in the error that a lean of the camera leaves
 STEPS = (2, 2, 3)  # Reweighted solutions after each linearisation
-_NEAR_ZENITH = 0.1  # least sine of the zenith angle in the field of a lean, which is singular there
+_MIN_ZENITH_SINE = 0.1  # least sine of the zenith angle in the field of a lean, which is singular there
 
 
 class Fitted(NamedTuple):
@@ -60,13 +60,13 @@ def make_grid(rings: int, sectors: int, lens: Lens) -> Grid:
     rays = polar_rays(lens, rings, sectors)
     x, y, z = np.moveaxis(rays, -1, 0)
     across = np.hypot(x, y)
-    cos, sin, cot = x / across, y / across, z / np.maximum(across, _NEAR_ZENITH)
+    cos, sin, cot = x / across, y / across, z / np.maximum(across, _MIN_ZENITH_SINE)
     azimuth = np.array([np.ones_like(cos), -cot * cos, -cot * sin])
     zenith = np.array([np.zeros_like(cos), -sin, cos])
     ring = lens.angle((np.arange(rings) + 0.5) / rings)
     neighbours = np.clip(np.arange(rings) + [[-1], [1]], 0, rings - 1)
     frequency = np.arange(sectors // 2 + 1)
-    passed = np.exp(-((frequency / (CUTOFF * sectors)) ** 2)) * frequency / (frequency + SMOOTH)
+    passed = np.exp(-((frequency / (CUTOFF * sectors)) ** 2)) * frequency / (frequency + HIGH_PASS_CYCLES)
     passed[-1] *= sectors % 2  # the highest frequency of an even number of sectors has no phase
     return Grid(
         lens,
@@ -114,7 +114,7 @@ def fit_rotation(first: np.ndarray, second: np.ndarray, angle: np.ndarray, grid:
         for _ in range(steps):
             step = _solve(maps, weight * _cauchy(maps, weight, step, grid)[0], grid)
         angle, lean = angle + step[:, 0], lean + step[:, 1:]
-    least = FLOOR * 2.0 * np.pi / sectors
+    least = MIN_STD_SECTORS * 2.0 * np.pi / sectors
     std = np.sqrt(_deviate(maps, weight, step, grid) ** 2 + twist(angle, lean) ** 2 + least**2)
     return Fitted(angle, std, lean)
 
@@ -136,7 +136,7 @@ def twist(angle: np.ndarray, lean: np.ndarray) -> np.ndarray:
     wobble.
     """
     cot = np.abs(np.cos(angle / 2.0)) / np.maximum(np.abs(np.sin(angle / 2.0)), 1e-9)
-    return (lean**2).sum(axis=-1) / 4.0 * np.minimum(cot, MOST_COT)
+    return (lean**2).sum(axis=-1) / 4.0 * np.minimum(cot, MAX_COT)
 
 
 class _Maps(NamedTuple):
@@ -234,4 +234,4 @@ def _deviate(maps: _Maps, weight: np.ndarray, step: np.ndarray, grid: Grid) -> n
     block = sum(np.roll(score, shift, axis=1) for shift in range(length))
     meat = np.einsum("msi,msj->mij", block, block).astype(float) / length
     row = np.linalg.inv(bread)[:, 0]
-    return CALIBRATION * np.sqrt(np.einsum("mi,mij,mj->m", row, meat, row))
+    return STD_FACTOR * np.sqrt(np.einsum("mi,mij,mj->m", row, meat, row))

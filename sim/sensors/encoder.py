@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from sim.errors import InputError, WorkError
-from sim.plugins import ENCODER_FAULTS, HOW_TO_LOAD
+from sim.plugins import ENCODER_FAULTS, LOADING_HINT
 from sim.rng import split
 from sim.settings import EncoderSettings
 
@@ -68,7 +68,7 @@ def _disturb_by_plugin(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Angles with a plugin's fault, and which readings it drops; raises WorkError if it returns something else."""
     if name not in ENCODER_FAULTS:
-        raise InputError(f"encoder.plugins.{name} {strength}: no plugin that is loaded defines it; {HOW_TO_LOAD}")
+        raise InputError(f"encoder.plugins.{name} {strength}: no plugin that is loaded defines it; {LOADING_HINT}")
     fault = ENCODER_FAULTS[name]
     dropped = np.zeros(len(angle), bool)
     shape = angle.shape
@@ -176,7 +176,7 @@ FAULTS: tuple[Fault, ...] = (
 )
 
 
-IN_DATA_SHEETS = tuple(fault.settings[0] for fault in FAULTS if fault.variance)
+DATA_SHEET_SETTINGS = tuple(fault.settings[0] for fault in FAULTS if fault.variance)
 """Settings whose values a robot's builder knows, so that recordings hold them and noise-aware methods use them."""
 
 
@@ -199,10 +199,10 @@ RANGES = {
     "wheel_radius_m": (1e-6, 1e6),
     "track_m": (1e-6, 1e6),
     "ticks_per_rev": (1.0, 1e9),
-    **dict.fromkeys(IN_DATA_SHEETS, (0.0, 1e3)),
+    **dict.fromkeys(DATA_SHEET_SETTINGS, (0.0, 1e3)),
 }
 """Allowed ranges of odometry constants; a constant that may be zero may also be missing."""
-LARGE = 2**40  # Number of ticks from which a conversion to metres in floating point becomes too coarse
+MAX_EXACT_TICKS = 2**40  # Number of ticks from which a conversion to metres in floating point becomes too coarse
 
 
 def read_encoders(
@@ -232,7 +232,7 @@ def describe_odometry(settings: EncoderSettings, wheel_radius_m: float, track_m:
         "wheel_radius_m": wheel_radius_m,
         "track_m": track_m * (1.0 + settings.track_error),
         "ticks_per_rev": settings.ticks_per_rev,
-        **{name: getattr(settings, name) for name in IN_DATA_SHEETS},
+        **{name: getattr(settings, name) for name in DATA_SHEET_SETTINGS},
     }
 
 
@@ -265,4 +265,4 @@ def count_from_first(ticks: np.ndarray) -> np.ndarray:
 
     Smaller ticks are returned unchanged. The difference also unwraps a counter that overflows 64 bits.
     """
-    return ticks - ticks[:1] if len(ticks) and (np.abs(ticks.astype(float)) >= LARGE).any() else ticks
+    return ticks - ticks[:1] if len(ticks) and (np.abs(ticks.astype(float)) >= MAX_EXACT_TICKS).any() else ticks

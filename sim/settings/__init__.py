@@ -32,7 +32,7 @@ from sim.settings.world import TURN_RATE_RPS as TURN_RATE_RPS
 from sim.settings.world import RoomKind as RoomKind
 from sim.settings.world import RoomShape as RoomShape
 
-LARGEST_GRID = 250_000_000  # Most distances that a test grid in a plane holds: 1 GB
+MAX_GRID_DISTANCES = 250_000_000  # Most distances that a test grid in a plane holds: 1 GB
 
 
 class SimSettings(Group):
@@ -75,12 +75,12 @@ class SimSettings(Group):
         if self.world == "room":
             return self
         values = self.landmarks.count if self.world == "landmarks" else self.lidar.rays * self.lidar.headings
-        least_m = PLANE_SIDE_M / (math.sqrt(LARGEST_GRID / (values * self.grid.headings)) - 1.0)
+        least_m = PLANE_SIDE_M / (math.sqrt(MAX_GRID_DISTANCES / (values * self.grid.headings)) - 1.0)
         if self.grid.spacing_m < least_m:
             raise ValueError(
                 f"grid.spacing_m {self.grid.spacing_m:g} m must be at least {math.ceil(1000 * least_m) / 1000:g} m in "
                 f"a square of {PLANE_SIDE_M:g} m with grid.headings {self.grid.headings} and {values} distances in an "
-                f"observation: a test grid holds at most {LARGEST_GRID:,} distances"
+                f"observation: a test grid holds at most {MAX_GRID_DISTANCES:,} distances"
             )
         return self
 
@@ -101,7 +101,7 @@ class SimSettings(Group):
                 raise ValueError(f"tag_camera.mounted needs tags: room.kind lab has some, and {kind} has none")
             return self
         default = SimSettings.model_construct()
-        for name in NEED_A_ROOM:
+        for name in ROOM_SETTINGS:
             group, _, field = name.partition(".")
             value, usual = getattr(self, group), getattr(default, group)
             if field:
@@ -132,8 +132,8 @@ class SimSettings(Group):
         return self
 
 
-NEED_A_ROOM = ("tag_camera.mounted", "robot", "grid.held_out", "deployment.drive_samples")
-NEED_A_ROOM += tuple(f"drive.{name}" for name in ("strategy", "lengths", "headings", "enter", "search", "arcs"))
+ROOM_SETTINGS = ("tag_camera.mounted", "robot", "grid.held_out", "deployment.drive_samples")
+ROOM_SETTINGS += tuple(f"drive.{name}" for name in ("strategy", "lengths", "headings", "enter", "search", "arcs"))
 """Settings without effect in a plane, where the robot has no range finder."""
 NO_FAULTS: dict[str, Group] = {
     "image_faults": ImageFaultSettings(),

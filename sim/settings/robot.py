@@ -7,9 +7,9 @@ from pydantic import Field, SerializerFunctionWrapHandler, field_validator, mode
 from sim.errors import shorten
 from sim.plugins import ENCODER_FAULTS
 from sim.settings.group import Group
-from sim.settings.world import FEWEST_SAMPLES
+from sim.settings.world import MIN_SAMPLES
 
-NAMES_OF_OWN = ("left_joint", "right_joint", "camera_site")  # Settings that name parts of a user's own robot
+OWN_ROBOT_NAMES = ("left_joint", "right_joint", "camera_site")  # Settings that name parts of a user's own robot
 
 
 class RobotSettings(Group):
@@ -28,7 +28,7 @@ class RobotSettings(Group):
 
     @model_serializer(mode="wrap")
     def _write_own_robot_only_if_there_is_one(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        own = ("mjcf", *NAMES_OF_OWN)
+        own = ("mjcf", *OWN_ROBOT_NAMES)
         return {name: value for name, value in write(self).items() if name not in own or self.mjcf is not None}
 
     @model_validator(mode="after")
@@ -39,7 +39,7 @@ class RobotSettings(Group):
 
     @model_validator(mode="after")
     def _only_an_own_robot_has_names(self) -> "RobotSettings":
-        for name in NAMES_OF_OWN if self.mjcf is None else ():
+        for name in OWN_ROBOT_NAMES if self.mjcf is None else ():
             if (value := getattr(self, name)) != RobotSettings.model_fields[name].default:
                 raise ValueError(f"{name} {shorten(value)} names a part of a robot of your own, and needs mjcf")
         return self
@@ -216,6 +216,6 @@ class DeploymentSettings(Group):
     @field_validator("drive_samples")
     @classmethod
     def _long_enough_for_a_drive(cls, samples: int) -> int:
-        if 0 < samples < FEWEST_SAMPLES:
-            raise ValueError(f"{samples} must be 0 or at least {FEWEST_SAMPLES}")
+        if 0 < samples < MIN_SAMPLES:
+            raise ValueError(f"{samples} must be 0 or at least {MIN_SAMPLES}")
         return samples

@@ -9,7 +9,7 @@ from sim.settings.group import Group, Seed
 WorldName = Literal["room", "landmarks", "obstacles"]
 RoomKind = Literal["living_room", "bedroom", "office", "kitchen", "studio", "workshop", "lab", "corridor", "labyrinth"]
 RoomShape = Literal["rectangle", "l", "u", "pillar", "two_rooms"]
-SMALLEST_M: dict[RoomKind, float] = {"corridor": 6.0, "labyrinth": 3.0}
+MIN_ROOM_SIDE_M: dict[RoomKind, float] = {"corridor": 6.0, "labyrinth": 3.0}
 """Smallest width and depth [m] of the kinds with walls inside, whose only shape is a rectangle."""
 Metres = Annotated[float, Field(ge=2.0, le=30.0)]
 
@@ -38,7 +38,7 @@ class RoomSettings(Group):
     def _walls_inside_have_room(self) -> "RoomSettings":
         if self.kind == "lab" and self.look_alike and self.mjcf is None:
             raise ValueError("look_alike: a lab has tags that are all different")
-        smallest = SMALLEST_M.get(self.kind)
+        smallest = MIN_ROOM_SIDE_M.get(self.kind)
         if smallest is None or self.mjcf is not None:
             return self
         if self.shape != "rectangle":
@@ -71,7 +71,7 @@ class ObstaclesSettings(Group):
     """Seed of the obstacles; None: the scenario's seed."""
 
 
-FEWEST_SAMPLES = 16  # Fewest images of a drive
+MIN_SAMPLES = 16  # Fewest images of a drive
 TURN_RATE_RPS = 1.8  # Speed of turns in place [rad/s] (TurtleBot3 Burger: at most 2.84)
 
 
@@ -80,7 +80,7 @@ class DriveSettings(Group):
 
     strategy: Literal["dense", "endpoint"] = "dense"
     """dense: an image every spacing_m; endpoint: images only where a straight segment begins and ends."""
-    samples: int = Field(default=8000, ge=FEWEST_SAMPLES, le=2_000_000)
+    samples: int = Field(default=8000, ge=MIN_SAMPLES, le=2_000_000)
     """Images to collect."""
     spacing_m: float = Field(default=0.08, ge=0.01, le=1.0)
     """Distance between images on a segment [m]; in a room, images are never closer than the robot drives in 0.04 s."""

@@ -18,9 +18,9 @@ from sim.sensors.camera.gl import EGL_FIX
 
 NVIDIA_FIX = "install NVIDIA's EGL library (Debian: libegl-nvidia0; in a container: NVIDIA_DRIVER_CAPABILITIES=all)"
 VULKAN_FIX = "apt-get install mesa-vulkan-drivers"
-LEAST_FREE_GB = 1.0  # the demo writes about 0.3 GB
+MIN_FREE_GB = 1.0  # the demo writes about 0.3 GB
 
-_DRAW = """
+_DRAWING_SCRIPT = """
 import sys
 from sim import errors
 from sim.sensors.camera import gl
@@ -121,7 +121,7 @@ def check_renderer() -> Check:
     """Report the OpenGL backend and its renderer string, queried in a child process that a driver may crash."""
     try:
         child = subprocess.run(
-            [sys.executable, "-c", _DRAW],
+            [sys.executable, "-c", _DRAWING_SCRIPT],
             cwd=Path(__file__).parents[2],
             capture_output=True,
             text=True,
@@ -173,7 +173,7 @@ def check_folder(runs: Path) -> Check:
         return Check("folder", False, text, "give another with --out DIR")
 
 
-def check_disk(runs: Path, least_gb: float = LEAST_FREE_GB) -> Check:
+def check_disk(runs: Path, least_gb: float = MIN_FREE_GB) -> Check:
     """Check that there is disk space for results."""
     free_gb = shutil.disk_usage(_nearest(runs)).free / 1e9
     ok = free_gb >= least_gb

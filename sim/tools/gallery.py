@@ -19,20 +19,20 @@ from sim.rooms.build import build_room
 from sim.sensors.camera import gl
 from sim.sensors.camera.fisheye import Fisheye
 from sim.settings import CameraSettings, DeploymentSettings, RoomKind, RoomSettings, RoomShape, SimSettings
-from sim.settings.world import SMALLEST_M
+from sim.settings.world import MIN_ROOM_SIDE_M
 
 MARK = ("Software", "deepgps")  # Mark of origin in the picture's metadata, so that no other picture is overwritten
 ROW_PX = 330
 PERSPECTIVE_PX = 560
-TOP_PX = 430
+TOP_VIEW_PX = 430
 POLAR_PX = 520
-ROUND_PX = 512
+ROUND_IMAGE_PX = 512
 LABEL_PX = 26
 MARGIN_PX = 6
-CEILING_FROM_M = 1.8
+MIN_CEILING_M = 1.8
 """Bodies whose origin is higher than this belong to the ceiling and are hidden in the views from above [m]."""
 HIDDEN_GROUP = 5
-_REACHABLE = np.array((70, 200, 120))
+_REACHABLE_COLOUR = np.array((70, 200, 120))
 _VIEW = {"azimuth": 58.0, "elevation": -40.0}
 
 
@@ -50,7 +50,7 @@ def draw_gallery(
     gl.choose_backend()
     shapes = get_args(RoomShape)
     rooms = [
-        RoomSettings(kind=kind, shape="rectangle" if kind in SMALLEST_M else shapes[seed % len(shapes)], seed=seed)
+        RoomSettings(kind=kind, shape="rectangle" if kind in MIN_ROOM_SIDE_M else shapes[seed % len(shapes)], seed=seed)
         for kind in kinds
         for seed in seeds
     ]
@@ -123,19 +123,19 @@ def _draw_top(model: mujoco.MjModel, space: FreeSpace) -> np.ndarray:
     """Draw the room straight from above without the ceiling, with reachable floor tinted and the start as a dot."""
     low, high = _extent(model)
     middle, size = (low + high)[:2] / 2, (high - low)[:2] + 0.2
-    metres = max(size[1], size[0] * ROW_PX / TOP_PX)
+    metres = max(size[1], size[0] * ROW_PX / TOP_VIEW_PX)
     view = mujoco.MjvCamera()
     view.azimuth, view.elevation, view.distance = 90.0, -90.0, 8.0
     view.lookat[:] = (*middle, 0.0)
     # An orthographic camera's field of view is a length.
     fovy = model.vis.global_.fovy
     model.vis.global_.orthographic, model.vis.global_.fovy = 1, metres
-    image = _render(model, view, _ceiling(model), (ROW_PX, TOP_PX))
+    image = _render(model, view, _ceiling(model), (ROW_PX, TOP_VIEW_PX))
     model.vis.global_.orthographic, model.vis.global_.fovy = 0, fovy
-    row, column = np.mgrid[0:ROW_PX, 0:TOP_PX] + 0.5
-    points = np.stack((column - TOP_PX / 2, ROW_PX / 2 - row), axis=-1) * metres / ROW_PX + middle
+    row, column = np.mgrid[0:ROW_PX, 0:TOP_VIEW_PX] + 0.5
+    points = np.stack((column - TOP_VIEW_PX / 2, ROW_PX / 2 - row), axis=-1) * metres / ROW_PX + middle
     tint = space.is_reachable(points)[..., None]
-    image = np.where(tint, 0.75 * image + 0.25 * _REACHABLE, image)
+    image = np.where(tint, 0.75 * image + 0.25 * _REACHABLE_COLOUR, image)
     start = np.hypot(*(points - space.start).transpose(2, 0, 1)) < 0.105
     return np.where(start[..., None], (230, 40, 40), image).astype(np.uint8)
 
@@ -169,7 +169,7 @@ def _render(model: mujoco.MjModel, view: mujoco.MjvCamera, hidden: np.ndarray, s
 
 
 def _ceiling(model: mujoco.MjModel) -> np.ndarray:
-    return model.body_pos[model.geom_bodyid, 2] > CEILING_FROM_M
+    return model.body_pos[model.geom_bodyid, 2] > MIN_CEILING_M
 
 
 def _extent(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
@@ -198,7 +198,7 @@ def _label(row: np.ndarray, text: str) -> np.ndarray:
     return np.vstack([strip, row])
 
 
-def draw_round(settings: SimSettings, poses: np.ndarray, size_px: int = ROUND_PX) -> np.ndarray:
+def draw_round(settings: SimSettings, poses: np.ndarray, size_px: int = ROUND_IMAGE_PX) -> np.ndarray:
     """Round pictures (n, size_px, size_px, 3) uint8 RGB of the room in training, at poses (n, 3) x, y [m], yaw [rad].
 
     A picture is black outside the rim. Raises InputError if the room cannot be built, WorkError if no OpenGL context

@@ -9,12 +9,12 @@ import pytest
 
 from sim.recording import chunks
 from sim.recording import collect as collecting
-from sim.recording.derive import OF_IMAGES
-from sim.recording.format import OF_USE, read_manifest
+from sim.recording.derive import IMAGE_COUNTS
+from sim.recording.format import DEPLOYMENT_MANIFEST, read_manifest
 from sim.recording.renderers import Draw, Part
 from sim.settings import SimSettings
 
-MAKING = {"collect_s", "derived_from", "samples_dropped", "times_relocated", "renderer_deaths", *OF_IMAGES}
+MAKING = {"collect_s", "derived_from", "samples_dropped", "times_relocated", "renderer_deaths", *IMAGE_COUNTS}
 """Entries of a manifest that tell of the making."""
 
 
@@ -38,7 +38,7 @@ def read_files(folder: Path) -> dict[str, bytes]:
 def read_what_must_agree(folder: Path) -> dict:
     """The manifest without what tells of the making."""
     manifest = read_manifest(folder).model_dump(exclude=MAKING)
-    manifest["sha256"].pop(OF_USE, None)  # which tells of the making, too
+    manifest["sha256"].pop(DEPLOYMENT_MANIFEST, None)  # which tells of the making, too
     return manifest
 
 

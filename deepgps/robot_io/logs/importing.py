@@ -27,7 +27,7 @@ from sim.errors import InputError
 from sim.files.atomic import check_space
 from sim.files.checksums import read_json
 from sim.recording.format import finish_recording
-from sim.recording.manifest import FOLDER as IN_USE
+from sim.recording.manifest import DEPLOYMENT_FOLDER
 from sim.settings import CameraSettings
 
 MOST_DAMAGED = 0.05  # Share of damaged images from which a log is refused
@@ -198,7 +198,9 @@ def _store(
         entries = {"source": "log", "log": about}
         _write_plan(config, source, drive, choice.train, observation, turn, folder, entries, known)
         if "pose" not in known and len(choice.test.motions):
-            _write_plan(config, source, drive, choice.test, test, test_turn, folder / IN_USE, {"source": "log"}, {})
+            _write_plan(
+                config, source, drive, choice.test, test, test_turn, folder / DEPLOYMENT_FOLDER, {"source": "log"}, {}
+            )
             manifest = read_json(folder / "manifest.json")
             finish_recording(folder, {name: value for name, value in manifest.items() if name not in WRITTEN_LAST})
 

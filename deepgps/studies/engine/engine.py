@@ -29,7 +29,7 @@ from deepgps.terminal.progress import Report
 from sim.errors import InputError, shorten
 from sim.files.atomic import sweep
 from sim.files.checksums import write_lines
-from sim.recording.format import COLLECTING, RECORDING
+from sim.recording.format import RECORDING, WORK_PATH
 
 _HASH = "[0-9a-f]{8}"
 
@@ -44,7 +44,7 @@ def _make_pattern(of_run: str) -> re.Pattern[str]:
     return re.compile(
         rf"study\.yaml|table\.(md|parquet(\.sha256)?)|study\.rrd(\.sha256)?|figures/({'|'.join(PICTURES)})\.png"
         rf"|runs/{_HASH}/({of_run}|\.deepgps)|trainings/{_HASH}/({TRAINED_FILES}|{FEATURE_FILES})"
-        rf"|recordings/{_HASH}/({RECORDING.pattern})|recordings/{_HASH}\.collecting/({COLLECTING.pattern})"
+        rf"|recordings/{_HASH}/({RECORDING.pattern})|recordings/{_HASH}\.collecting/({WORK_PATH.pattern})"
     )
 
 

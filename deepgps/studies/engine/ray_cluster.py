@@ -23,7 +23,7 @@ from deepgps.studies.engine.runs import count_steps, do_run, wants_gpu
 from deepgps.studies.plan import Plan
 from deepgps.terminal.progress import Report, ignore
 from sim.errors import InputError, one_line
-from sim.processes import ENDINGS, usable_cores
+from sim.processes import END_SIGNALS, usable_cores
 
 RETRIES = 2  # How often to retry a run whose process or machine was lost; the run continues from its last checkpoint
 KNOCK_S = 5.0
@@ -66,7 +66,7 @@ def open_cluster(address: str | None) -> Iterator[Callable[[Sequence[Plan], Path
 @contextmanager
 def _keep_handlers() -> Iterator[None]:
     """Restore the signal handlers: Ray sets its own, and its handler of SIGTERM aborts with many lines of output."""
-    before, ended = {number: signal.getsignal(number) for number in ENDINGS}, False
+    before, ended = {number: signal.getsignal(number) for number in END_SIGNALS}, False
     try:
         yield
     except SystemExit:  # raised by Ray's own handler after it has ended Ray's processes

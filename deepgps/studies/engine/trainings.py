@@ -20,7 +20,7 @@ from deepgps.positioner.stored_positioner import is_finished, load_positioner, r
 from deepgps.runs.run_folder import FEATURE_FILES, TRAINED_FILES
 from sim.errors import InputError
 from sim.files.atomic import PART, link_file, list_files, remove_files
-from sim.recording.derive import NOT_LEARNED
+from sim.recording.derive import UNLEARNED_PREFIXES
 from sim.recording.format import Recording, open_recording
 
 log = logging.getLogger(__name__)
@@ -45,7 +45,7 @@ def leave_trainings(scenario: Scenario, run: Path) -> None:
 def digest_training(scenario: Scenario, method: str, recording: Recording) -> str:
     """Eight hexadecimal digits of everything that determines a training without ticks: settings, seed, images,
     positions, and the order of images along segments, by which features are chosen."""
-    sums = {name: value for name, value in recording.manifest.sha256.items() if not name.startswith(NOT_LEARNED)}
+    sums = {name: value for name, value in recording.manifest.sha256.items() if not name.startswith(UNLEARNED_PREFIXES)}
     read = f"{method} {training_seed(scenario)} {scenario.learn.model_dump_json()} {sorted(sums.items())}"
     return hashlib.sha256(read.encode() + recording.reading[:, :2].tobytes()).hexdigest()[:8]
 

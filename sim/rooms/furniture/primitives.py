@@ -19,7 +19,7 @@ Body: TypeAlias = mujoco.MjsBody
 Rng: TypeAlias = np.random.Generator
 Point = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
-UPRIGHT: Quaternion = (1.0, 0.0, 0.0, 0.0)
+NO_TURN: Quaternion = (1.0, 0.0, 0.0, 0.0)
 WOODS = ((0.62, 0.42, 0.24), (0.45, 0.28, 0.16), (0.76, 0.58, 0.38), (0.3, 0.19, 0.13), (0.68, 0.5, 0.34))
 
 
@@ -92,7 +92,7 @@ def paper(spec: mujoco.MjSpec, image: np.ndarray, glow: float = 0.0) -> str:
     return name
 
 
-def box(body: Body, middle: Point, size: Point, material: str, solid: bool = False, quat: Quaternion = UPRIGHT) -> None:
+def box(body: Body, middle: Point, size: Point, material: str, solid: bool = False, quat: Quaternion = NO_TURN) -> None:
     """Draw a box of full ``size`` [m]; a solid one collides as well."""
     half = tuple(side / 2 for side in size)
     _draw(body, mujoco.mjtGeom.mjGEOM_BOX, middle, half, material, quat)
@@ -100,7 +100,7 @@ def box(body: Body, middle: Point, size: Point, material: str, solid: bool = Fal
         block(body, middle, size, quat)
 
 
-def block(body: Body, middle: Point, size: Point, quat: Quaternion = UPRIGHT) -> None:
+def block(body: Body, middle: Point, size: Point, quat: Quaternion = NO_TURN) -> None:
     """Add a box of full ``size`` [m] that collides and is not drawn."""
     half = tuple(side / 2 for side in size)
     _collide(body, mujoco.mjtGeom.mjGEOM_BOX, middle, half, quat)
@@ -111,7 +111,7 @@ def pole(body: Body, middle: Point, radius_m: float, height_m: float, material: 
     size = (radius_m, height_m / 2, 0.0)
     _draw(body, mujoco.mjtGeom.mjGEOM_CYLINDER, middle, size, material)
     if solid:
-        _collide(body, mujoco.mjtGeom.mjGEOM_CYLINDER, middle, size, UPRIGHT)
+        _collide(body, mujoco.mjtGeom.mjGEOM_CYLINDER, middle, size, NO_TURN)
 
 
 def ball(body: Body, middle: Point, radii: tuple[float, float, float], material: str) -> None:

@@ -15,7 +15,7 @@ from sim.rng import stream
 from sim.sensors.catalog import Measure, Measures
 from sim.settings import ImageFaultSettings, SimSettings
 
-LEAST_SECTORS = 1e-6  # A smear that is narrower than this, in sectors, is none
+MIN_SMEAR_SECTORS = 1e-6  # A smear that is narrower than this, in sectors, is none
 SENSOR_PX = 480
 """Diameter of the image's circle on the sensor [px]; a polar pixel is the mean of the sensor pixels it covers."""
 _STEPS = 65535  # steps of linear light, far finer than any sRGB step
@@ -49,7 +49,7 @@ def make_develop(settings: ImageFaultSettings, rng: np.random.Generator) -> Meas
 
     One number is drawn from ``rng`` for each value, in order: a shorter drive has the first images of a longer one.
     """
-    if all(getattr(settings, name) == off for name, off in _OFF.items()):
+    if all(getattr(settings, name) == off for name, off in _FAULTLESS_VALUES.items()):
         return None
     return lambda images: develop(images, settings, rng)
 
@@ -80,7 +80,7 @@ def smear(light: np.ndarray, turn_deg: float) -> np.ndarray:
     mean.
     """
     width = turn_deg / 360.0 * light.shape[2]
-    if width < LEAST_SECTORS:
+    if width < MIN_SMEAR_SECTORS:
         return light
     reach = int(np.ceil(width / 2 + 1.0))
     smeared = np.zeros_like(light)
@@ -162,4 +162,4 @@ FAULTS = (
     ImageFault({"read_noise": "read noise {:g}", "shot_noise": "shot noise {:g}"}, _add_noise),
 )
 """Faults in the order in which they act on the light."""
-_OFF = {name: ImageFaultSettings.model_fields[name].default for fault in FAULTS for name in fault.titles}
+_FAULTLESS_VALUES = {name: ImageFaultSettings.model_fields[name].default for fault in FAULTS for name in fault.titles}

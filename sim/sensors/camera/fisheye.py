@@ -12,10 +12,10 @@ import cv2
 import mujoco
 import numpy as np
 
-from sim.rooms.spec import PREFIX
+from sim.rooms.spec import ROBOT_PREFIX
 from sim.sensors.camera.lens import Lens, make_lens, polar_rays, round_rays
 from sim.sensors.camera.mount import CIRCLE_PX, tilt
-from sim.sensors.camera.offscreen import UNSEEN, Face, Offscreen, aim, make_scene, update_scene
+from sim.sensors.camera.offscreen import INVISIBLE_GEOM, Face, Offscreen, aim, make_scene, update_scene
 from sim.settings import CameraMountSettings, CameraSettings
 
 _MARGIN_PX = 1  # bilinear sampling at a face's edge reads half a pixel beyond it
@@ -83,8 +83,8 @@ def _cut_cube(half_angle: float) -> list[tuple[np.ndarray, np.ndarray, tuple[flo
     return top + [(forward, z, (-1.0, 1.0, bottom, 1.0)) for forward in (x, y, -x, -y)]
 
 
-CAMERA_SITE = f"{PREFIX}camera"
-ON_THE_AXLE = CameraMountSettings()
+CAMERA_SITE = f"{ROBOT_PREFIX}camera"
+AXLE_MOUNT = CameraMountSettings()
 # Points read per face pixel along each axis: more points cost time without a measurable gain.
 _READ_DENSITY = 1.0
 Dress = Callable[[mujoco.MjvScene], None]
@@ -108,14 +108,14 @@ class Fisheye(Offscreen):
     given with each image. Raises InputError if the lens is impossible, WorkError if no OpenGL context can be opened.
     """
 
-    def __init__(self, model: mujoco.MjModel, camera: CameraSettings, mount: CameraMountSettings = ON_THE_AXLE) -> None:
+    def __init__(self, model: mujoco.MjModel, camera: CameraSettings, mount: CameraMountSettings = AXLE_MOUNT) -> None:
         self._model, self._camera = model, camera
         self._offset = np.array([mount.ahead_m, mount.left_m, 0.0])
         self._lens = make_lens(camera)
         self._faces = make_faces(self._lens, camera.face_px)
         self._planes = edge_planes(self._faces)
         self._site = model.site(CAMERA_SITE).id
-        self._robot = np.array([model.body(body).name.startswith(PREFIX) for body in model.geom_bodyid])
+        self._robot = np.array([model.body(body).name.startswith(ROBOT_PREFIX) for body in model.geom_bodyid])
         self._boxes = _local_boxes(model)
         self._scene, self._option, self._view = make_scene(model)
         finer = self._finer(self._lens.half_angle / camera.rings)
@@ -171,7 +171,7 @@ class Fisheye(Offscreen):
         shown = np.ones(len(geoms), bool)
         for face, wanted in zip(self._faces, seen, strict=True):
             for index in np.flatnonzero(wanted != shown):
-                geoms[index].type = kinds[index] if wanted[index] else UNSEEN
+                geoms[index].type = kinds[index] if wanted[index] else INVISIBLE_GEOM
             shown = wanted
             aim(scene, face, position, turn)
             mujoco.mjr_render(mujoco.MjrRect(face.column, 0, face.width, face.height), scene, self.target)

@@ -25,11 +25,11 @@ from sim.sensors.catalog import Opened
 from sim.settings import SimSettings
 
 PERSON_RADIUS_M, PERSON_HEIGHT_M = 0.25, 1.75
-NEAREST_M = 0.5
+MIN_DISTANCE_M = 0.5
 """A person's middle is at least this far from the camera [m]: more than the person's radius and the robot's."""
-LAMP_M, LAMP_RADIUS_M = 2.0, 0.08  # Largest height of a lamp above the floor, and its radius [m]
-BELOW_CEILING_M = 0.1  # How far a lamp's middle is below what is above it [m]
-SKIN = ((0.96, 0.8, 0.69), (0.78, 0.57, 0.44), (0.45, 0.3, 0.22))
+MAX_LAMP_HEIGHT_M, LAMP_RADIUS_M = 2.0, 0.08  # Largest height of a lamp above the floor, and its radius [m]
+CEILING_GAP_M = 0.1  # How far a lamp's middle is below what is above it [m]
+SKIN_COLOURS = ((0.96, 0.8, 0.69), (0.78, 0.57, 0.44), (0.45, 0.3, 0.22))
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def place_person(space: FreeSpace, state: np.ndarray, seed: int = 0) -> list[Sha
     """
     rng = stream(seed, "person", zlib.crc32(np.ascontiguousarray(state).tobytes()))
     places = _list_free(space)
-    places = places[np.linalg.norm(places - planar_pose(state)[:2], axis=1) > NEAREST_M]
+    places = places[np.linalg.norm(places - planar_pose(state)[:2], axis=1) > MIN_DISTANCE_M]
     return _draw_person(places[rng.integers(len(places))], rng) if len(places) else []
 
 
@@ -72,7 +72,7 @@ def place_lamp(space: FreeSpace, room: mujoco.MjModel, seed: int = 0) -> np.ndar
     data = mujoco.MjData(room)
     mujoco.mj_kinematics(room, data)
     above = mujoco.mj_ray(room, data, place, np.array([0.0, 0.0, 1.0]), None, 1, -1, np.zeros(1, np.int32))
-    place[2] = LAMP_M if above < 0 else min(LAMP_M, place[2] + above - BELOW_CEILING_M)
+    place[2] = MAX_LAMP_HEIGHT_M if above < 0 else min(MAX_LAMP_HEIGHT_M, place[2] + above - CEILING_GAP_M)
     return place
 
 
@@ -92,7 +92,7 @@ def _draw_person(place: np.ndarray, rng: np.random.Generator) -> list[Shape]:
     """A standing person of random size, in random clothes, turned at random: legs, hips, trunk, arms, head."""
     tall, yaw = rng.uniform(0.88, 1.0) * PERSON_HEIGHT_M, rng.uniform(-np.pi, np.pi)
     trousers, shirt = (tuple(rng.uniform(0.05, 0.9, 3).tolist()) for _ in range(2))
-    skin = SKIN[rng.integers(len(SKIN))]
+    skin = SKIN_COLOURS[rng.integers(len(SKIN_COLOURS))]
     cos, sin = np.cos(yaw), np.sin(yaw)
     turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     ellipsoid, capsule = mujoco.mjtGeom.mjGEOM_ELLIPSOID, mujoco.mjtGeom.mjGEOM_CAPSULE

@@ -16,7 +16,7 @@ _BACKENDS = ("egl", "osmesa")
 EGL_FIX = "apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri libopengl0"
 _OSMESA_FIX = "apt-get install libosmesa6"
 _EGL_PLATFORM_DEVICE = 0x313F  # EGL_EXT_platform_device
-_MOST_DEVICES = 32
+_MAX_DEVICES = 32
 
 
 def choose_backend() -> str:
@@ -114,8 +114,8 @@ def _probe_egl() -> str | None:
     query_devices = ctypes.CFUNCTYPE(ctypes.c_uint, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p)(query)
     get_display = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_uint, ctypes.c_void_p, ctypes.c_void_p)(display)
 
-    devices, count = (ctypes.c_void_p * _MOST_DEVICES)(), ctypes.c_int()
-    query_devices(_MOST_DEVICES, devices, ctypes.byref(count))
+    devices, count = (ctypes.c_void_p * _MAX_DEVICES)(), ctypes.c_int()
+    query_devices(_MAX_DEVICES, devices, ctypes.byref(count))
     for device in _select(list(devices[: count.value])):
         handle = get_display(_EGL_PLATFORM_DEVICE, device, None)
         if handle and egl.eglInitialize(handle, None, None):

@@ -23,7 +23,7 @@ Source = Literal["lamps", "windows"]
 LAMPLIGHT = (1.0, 0.88, 0.7)  # Colour of the light of lamps, warmer than that of the sky
 KINDS: tuple[Source, ...] = get_args(Source)
 COLOURS: dict[Source, tuple[float, float, float]] = {"lamps": LAMPLIGHT, "windows": (0.85, 0.93, 1.0)}
-MOST = 7  # OpenGL has eight lights, of which MuJoCo keeps one for the view
+MAX_LIGHTS = 7  # OpenGL has eight lights, of which MuJoCo keeps one for the view
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Sources:
 
 
 def find_sources(model: mujoco.MjModel, source: Source) -> Sources:
-    """Find the lamps or the windows of a compiled room: a light for each that glows, the ``MOST`` largest at most.
+    """Find the lamps or the windows of a compiled room: a light for each that glows, of the ``MAX_LIGHTS`` largest.
 
     What glows in one body is one lamp or window; what is fixed to the world itself is one for each geom. Screens count
     as windows, by their size.
@@ -53,7 +53,7 @@ def find_sources(model: mujoco.MjModel, source: Source) -> Sources:
     body = model.geom_bodyid[geoms]
     fitting = np.where(body > 0, body, -1 - geoms)
     lights = [_place_light(model, data, geoms[fitting == one], source) for one in np.unique(fitting)]
-    lights = sorted(lights, key=lambda light: -light[2])[:MOST]
+    lights = sorted(lights, key=lambda light: -light[2])[:MAX_LIGHTS]
     place, facing, size = (np.array([light[k] for light in lights]) for k in range(3))
     strength = size / max(size.sum(), 1e-12)
     return Sources(geoms, place.reshape(-1, 3), facing.reshape(-1, 3), strength, COLOURS[source])
@@ -82,14 +82,14 @@ def _place_light(
     return place + 0.1 * inward, inward, float(surface.sum())
 
 
-SCATTERED = 0.1  # Light that walls have scattered, the same everywhere, as a fraction of white; no corner is black
-DIRECT = 1.2  # Light of all sources of a kind together on a surface that faces them close by, as a fraction of white
+SCATTERED_LIGHT = 0.1  # Light from walls, the same everywhere, as a fraction of white; no corner is black
+DIRECT_LIGHT = 1.2  # Light of all sources of a kind on a surface that faces them close by, as a fraction of white
 FADING_M2 = 4.0  # A light fades to 1 / (1 + distance^2 / FADING_M2) [m2]
 QUADS = 8  # Parts of a box's face along each side; MuJoCo computes light at their corners alone
 
 
-OFF = 0.15  # Reflectance of lamps and panes that do not shine
-DARK = 1e-3  # Least illumination by which is divided, as a fraction of white
+UNLIT_REFLECTANCE = 0.15  # Reflectance of lamps and panes that do not shine
+MIN_ILLUMINATION = 1e-3  # Least illumination by which is divided, as a fraction of white
 
 
 class Illumination:
@@ -131,7 +131,7 @@ def mix(light: np.ndarray, by: Mapping[str, np.ndarray], fraction: Mapping[str, 
     The illumination by each kind (...) is in a common unit; kinds without a fraction are left out.
     """
     usual = sum(by[kind] for kind in KINDS)
-    return light * (sum(share * by[kind] for kind, share in fraction.items()) / np.maximum(usual, DARK))
+    return light * (sum(share * by[kind] for kind, share in fraction.items()) / np.maximum(usual, MIN_ILLUMINATION))
 
 
 def _whiten(model: mujoco.MjModel, sources: Mapping[str, Sources], shining: str) -> mujoco.MjModel:
@@ -146,7 +146,7 @@ def _whiten(model: mujoco.MjModel, sources: Mapping[str, Sources], shining: str)
         glowing, shines = material[some.geoms], kind == shining
         white.geom_matid[some.geoms] = glowing
         white.mat_texid[glowing] = -1
-        white.geom_rgba[some.geoms, :3] = 1.0 if shines else OFF
+        white.geom_rgba[some.geoms, :3] = 1.0 if shines else UNLIT_REFLECTANCE
         white.mat_emission[glowing] = float(shines)
     return white
 
@@ -160,24 +160,24 @@ def _set_lights(scene: mujoco.MjvScene, sources: Sources) -> None:
         light.diffuse = light.ambient = light.specular = np.zeros(3, np.float32)
         light.headlight = light.castshadow = 0
     scattered.type = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
-    scattered.ambient = SCATTERED * colour * bool(len(sources.place))  # where nothing shines, nothing is scattered
+    scattered.ambient = SCATTERED_LIGHT * colour * bool(len(sources.place))  # none where nothing shines
     for light, place, facing, share in zip(direct, sources.place, sources.facing, sources.strength, strict=True):
         light.type = mujoco.mjtLightType.mjLIGHT_SPOT
         light.pos, light.dir = place, facing if facing.any() else np.array([0.0, 0.0, -1.0])
         light.cutoff, light.exponent = 90.0 if facing.any() else 180.0, 0.0
         light.attenuation = np.array([1.0, 0.0, 1.0 / FADING_M2])
-        light.diffuse = DIRECT * share * colour
+        light.diffuse = DIRECT_LIGHT * share * colour
 
 
-GREY = 0.18  # Mean brightness that automatic exposure brings an image to, as a fraction of white: a grey card's
-MOST_GAIN = 64.0  # Largest gain of a colour
+TARGET_BRIGHTNESS = 0.18  # Mean that automatic exposure brings an image to, as a fraction of white: a grey card's
+MAX_GAIN = 64.0  # Largest gain of a colour
 
 
 def expose(light: np.ndarray) -> np.ndarray:
     """Return linear light (..., rings, sectors, 3) with automatic exposure and white balance.
 
-    Both together bring the mean of each colour to ``GREY`` ("grey world": Buchsbaum, Journal of the Franklin Institute
-    310, 1980), with gains of at most ``MOST_GAIN``. What becomes brighter than white is cut off later.
+    Both together bring the mean of each colour to ``TARGET_BRIGHTNESS`` ("grey world": Buchsbaum, Journal of the
+    Franklin Institute 310, 1980), with gains of at most ``MAX_GAIN``. What becomes brighter than white is cut later.
     """
     mean = light.mean(axis=(-3, -2), keepdims=True)
-    return light * np.minimum(GREY / np.maximum(mean, 1e-6), MOST_GAIN).astype(np.float32)
+    return light * np.minimum(TARGET_BRIGHTNESS / np.maximum(mean, 1e-6), MAX_GAIN).astype(np.float32)

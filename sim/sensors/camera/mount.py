@@ -42,7 +42,7 @@ def drive_on(state: np.ndarray, driven_m: float) -> np.ndarray:
     return states
 
 
-PAD = 4  # Pixels that interpolation reads beyond the one it is in
+PADDING_PX = 4  # Pixels that interpolation reads beyond the one it is in
 CHUNK = 256  # Images that are resampled at once
 
 
@@ -88,11 +88,11 @@ def map_pixels(upright: Upright, rings: int, sectors: int) -> tuple[np.ndarray, 
     seen = polar_rays(upright.lens, rings, sectors) @ tilt(np.array(upright.lean))
     row, column = np.moveaxis(project_polar(upright.lens, seen, rings, sectors), -1, 0)
     row = np.minimum(row, rings - 1.0)
-    return (column + PAD).astype(np.float32), (row + PAD).astype(np.float32)
+    return (column + PADDING_PX).astype(np.float32), (row + PADDING_PX).astype(np.float32)
 
 
 def pad(image: np.ndarray) -> np.ndarray:
-    """The image (rings + 2 PAD, sectors + 2 PAD, channels), continued around the circle and across the zenith."""
-    across = np.roll(image[PAD - 1 :: -1], image.shape[1] // 2, axis=1)
-    whole = np.concatenate([across, image, np.repeat(image[-1:], PAD, axis=0)])
-    return np.concatenate([whole[:, -PAD:], whole, whole[:, :PAD]], axis=1)
+    """The image padded by p = ``PADDING_PX``, across the zenith, too: (rings + 2 p, sectors + 2 p, channels)."""
+    across = np.roll(image[PADDING_PX - 1 :: -1], image.shape[1] // 2, axis=1)
+    whole = np.concatenate([across, image, np.repeat(image[-1:], PADDING_PX, axis=0)])
+    return np.concatenate([whole[:, -PADDING_PX:], whole, whole[:, :PADDING_PX]], axis=1)

@@ -9,11 +9,11 @@ import mujoco
 import numpy as np
 
 from sim.errors import WorkError
-from sim.rooms.spec import DRAWN_GROUPS, NEAR_M
+from sim.rooms.spec import DRAWN_GROUPS, NEAR_PLANE_M
 from sim.sensors.camera import gl
 
-UNSEEN = int(mujoco.mjtGeom.mjGEOM_NONE)
-_OFF = ("mjRND_SHADOW", "mjRND_REFLECTION", "mjRND_FOG", "mjRND_HAZE")
+INVISIBLE_GEOM = int(mujoco.mjtGeom.mjGEOM_NONE)
+_DISABLED_FLAGS = ("mjRND_SHADOW", "mjRND_REFLECTION", "mjRND_FOG", "mjRND_HAZE")
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ class Offscreen:
 def make_scene(model: mujoco.MjModel) -> tuple[mujoco.MjvScene, mujoco.MjvOption, mujoco.MjvCamera]:
     """Make a scene of only the visual geoms."""
     scene, option, view = mujoco.MjvScene(model, model.ngeom + 100), mujoco.MjvOption(), mujoco.MjvCamera()
-    for flag in _OFF:
+    for flag in _DISABLED_FLAGS:
         scene.flags[getattr(mujoco.mjtRndFlag, flag)] = 0
     keep = (mujoco.mjtVisFlag.mjVIS_TEXTURE, mujoco.mjtVisFlag.mjVIS_STATIC)
     for flag in range(len(option.flags)):
@@ -121,10 +121,10 @@ def update_scene(
 
 def aim(scene: mujoco.MjvScene, face: Face, position: np.ndarray, turn: np.ndarray) -> None:
     """Point both eyes, which MuJoCo averages, at a face."""
-    left, right, bottom, top = face.window * NEAR_M
+    left, right, bottom, top = face.window * NEAR_PLANE_M
     for eye in scene.camera:
         eye.pos, eye.up, eye.forward = position, turn @ face.axes[1], turn @ face.axes[2]
-        eye.frustum_near = NEAR_M
+        eye.frustum_near = NEAR_PLANE_M
         eye.frustum_center, eye.frustum_width = (left + right) / 2, (right - left) / 2
         eye.frustum_bottom, eye.frustum_top = bottom, top
         eye.orthographic = 0

@@ -14,9 +14,9 @@ import numpy as np
 from sim.errors import InputError
 from sim.sensors.camera.lens import Lens, distort, polar_rays
 
-MOST_FINER = 16  # Largest number of points, along each axis, whose mean is a pixel of the polar image
-LARGEST_PX = 32_000  # Largest side of an image that OpenCV remaps
-MOST_DEG = 360  # Largest angle of the forward axis, to either side
+MAX_OVERSAMPLING = 16  # Largest number of points, along each axis, whose mean is a pixel of the polar image
+MAX_SIDE_PX = 32_000  # Largest side of an image that OpenCV remaps
+MAX_YAW_DEG = 360  # Largest angle of the forward axis, to either side
 
 
 def unwrap_fisheye(
@@ -65,8 +65,8 @@ def unwrap_fisheye(
 
 def oversample(radius_px: float, rings: int, sectors: int) -> tuple[int, int]:
     """Points whose mean is a pixel of the polar image, across and along the rings; the rim has this radius [px]."""
-    across = int(np.clip(np.ceil(radius_px / rings), 1, MOST_FINER))
-    around = int(np.clip(np.ceil(2 * np.pi * radius_px / sectors), 1, min(MOST_FINER, LARGEST_PX // sectors)))
+    across = int(np.clip(np.ceil(radius_px / rings), 1, MAX_OVERSAMPLING))
+    around = int(np.clip(np.ceil(2 * np.pi * radius_px / sectors), 1, min(MAX_OVERSAMPLING, MAX_SIDE_PX // sectors)))
     return across, around
 
 
@@ -105,17 +105,17 @@ def _check(
             f"images {images.shape} {images.dtype}: must be (height, width, 3) or (N, height, width, 3) uint8 RGB"
         )
     height, width = images.shape[-3:-1]
-    if max(height, width) > LARGEST_PX:
-        raise InputError(f"images {images.shape}: height and width must be at most {LARGEST_PX} px")
+    if max(height, width) > MAX_SIDE_PX:
+        raise InputError(f"images {images.shape}: height and width must be at most {MAX_SIDE_PX} px")
     column, row = centre
     if not (0 <= column <= width - 1 and 0 <= row <= height - 1):
         raise InputError(f"centre {tuple(centre)}: must be column and row in an image of {width} x {height} px")
-    if not 1 <= radius_px <= LARGEST_PX:
-        raise InputError(f"radius_px {radius_px}: must be from 1 to {LARGEST_PX}")
+    if not 1 <= radius_px <= MAX_SIDE_PX:
+        raise InputError(f"radius_px {radius_px}: must be from 1 to {MAX_SIDE_PX}")
     if not (1 <= rings <= 1024 and 1 <= sectors <= 4096):
         raise InputError(f"rings {rings} and sectors {sectors}: must be from 1 to 1024, and from 1 to 4096")
-    if not abs(forward_deg) <= MOST_DEG:  # also refuses NaN
-        raise InputError(f"forward_deg {forward_deg}: must be from -{MOST_DEG} to {MOST_DEG}")
+    if not abs(forward_deg) <= MAX_YAW_DEG:  # also refuses NaN
+        raise InputError(f"forward_deg {forward_deg}: must be from -{MAX_YAW_DEG} to {MAX_YAW_DEG}")
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,7 @@ MODELS: dict[str, Model] = {
 }
 """Model by the names that drivers and calibration programs use; the rational one has more coefficients of OpenCV's."""
 COEFFICIENTS = {"equidistant": 4, "fisheye": 4, "kannala_brandt": 4, "plumb_bob": 5, "rational_polynomial": 8}
-WIDEST, PINHOLE = np.radians(95.0), np.radians(80.0)
+MAX_FISHEYE_ANGLE, MAX_PINHOLE_ANGLE = np.radians(95.0), np.radians(80.0)
 """Largest angle from the axis that is used, of a fisheye and of a pinhole with distortion [rad]."""
 STEPS = 951
 
@@ -175,7 +175,7 @@ class RawCamera:
     def find_half_angle(self, circle_px: float | None = None) -> float:
         """Largest angle from the axis [rad] up to which all directions are inside the image and the image circle, if
         any [px]."""
-        widest = WIDEST if MODELS[self.model] == "equidistant" else PINHOLE
+        widest = MAX_FISHEYE_ANGLE if MODELS[self.model] == "equidistant" else MAX_PINHOLE_ANGLE
         theta, azimuth = np.linspace(0.0, widest, STEPS)[:, None], np.linspace(0.0, 2 * np.pi, 360, endpoint=False)
         column, row = self.project(theta, azimuth[None])
         away = np.hypot(column - self.centre[0], row - self.centre[1])

@@ -16,7 +16,7 @@ from deepgps.runs.owned_folder import hold
 from deepgps.runs.run_folder import RUN
 from deepgps.tracking.track import PATHS, read_track
 from sim.files.checksums import read_json, write_json
-from sim.recording.format import OF_USE, open_recording, open_truth
+from sim.recording.format import DEPLOYMENT_MANIFEST, open_recording, open_truth
 from sim.recording.turns import NO_IMAGE
 from tests.helpers.command import deepgps_here
 from tests.helpers.made_once import make_once
@@ -149,7 +149,7 @@ def test_what_cannot_be_tracked_is_refused_in_a_line_before_the_work(run: Path, 
     refuse("deepgps did not write it", "run", "--tum", "mine")
     assert (tmp_path / "mine" / "truth.tum").read_text() == "0 0 0 0 0 0 0 1\n"
     shutil.rmtree(tmp_path / "run" / "tracking")
-    edit(tmp_path / "run" / "recording" / "manifest.json", lambda one: one["sha256"].pop(OF_USE))
+    edit(tmp_path / "run" / "recording" / "manifest.json", lambda one: one["sha256"].pop(DEPLOYMENT_MANIFEST))
     refuse("--deployment.drive-samples", "run")
     shutil.copy(run / "recording" / "manifest.json", tmp_path / "run" / "recording")
     (tmp_path / "run" / "deepgps_compass" / "alignment.json").unlink()

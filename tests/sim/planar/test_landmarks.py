@@ -16,7 +16,7 @@ from sim.planar.worlds import LandmarkWorld
 from sim.recording.format import Recording, Truth, check_recording, open_recording, open_truth
 from sim.rng import stream
 from sim.settings import (
-    LARGEST_GRID,
+    MAX_GRID_DISTANCES,
     DriveSettings,
     EncoderSettings,
     GridSettings,
@@ -183,4 +183,4 @@ def test_a_test_grid_beyond_the_memory_is_refused_with_the_spacing_that_is_allow
         SimSettings.model_validate(dense | changes | {"grid": {"spacing_m": least_m}})
         if not changes:
             positions = LandmarkWorld(SETTINGS, 0).lay_grid(GridSettings(spacing_m=least_m)).size / 3
-            assert 0.9 < positions * 4096 / LARGEST_GRID <= 1.0
+            assert 0.9 < positions * 4096 / MAX_GRID_DISTANCES <= 1.0

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from deepgps.data.segments import read_segments
 from sim.errors import InputError
 from sim.planar.drive import collect
-from sim.planar.worlds import PASSAGE, LidarWorld, place_obstacles
+from sim.planar.worlds import MIN_PASSAGE, LidarWorld, place_obstacles
 from sim.recording.format import Truth, check_recording, open_recording, open_truth
 from sim.settings import DriveSettings, GridSettings, LidarSettings, ObstaclesSettings, SimSettings
 from tests.helpers.recordings import quiet
@@ -92,7 +92,7 @@ def test_obstacles_leave_passages_and_one_seed_gives_one_map():
     box = place_obstacles(20, np.random.default_rng(1))
     gap = np.maximum(box[:, None, 0] - box[None, :, 1], box[None, :, 0] - box[:, None, 1]).max(axis=-1)
     assert len(box) == 20
-    assert ((gap <= 0) | (gap >= PASSAGE)).all()
+    assert ((gap <= 0) | (gap >= MIN_PASSAGE)).all()
     placed = SETTINGS.model_copy(update={"obstacles": ObstaclesSettings(seed=3)})
     assert np.array_equal(LidarWorld(placed, 9).box, WORLD.box)
     assert not np.array_equal(LidarWorld(SETTINGS, 9).box, WORLD.box)

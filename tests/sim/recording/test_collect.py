@@ -263,8 +263,8 @@ def test_a_renderer_that_dies_hangs_or_errs_is_replaced_and_the_bytes_are_the_sa
     draw, lines, deaths, differed, short_settings, short_recording, tmp_path, monkeypatch, caplog
 ):
     monkeypatch.setattr(collecting, "Renderers", renderers.Renderers)
-    monkeypatch.setattr(renderers, "FLOOR_S", 8.0 if draw is hang_first else 60.0)
-    monkeypatch.setattr(renderers, "PATIENCE", 2.0)
+    monkeypatch.setattr(renderers, "MIN_SILENCE_S", 8.0 if draw is hang_first else 60.0)
+    monkeypatch.setattr(renderers, "SILENCE_FACTOR", 2.0)
     monkeypatch.setattr(collecting, "sense_part", draw)
     collect(short_settings, 0, tmp_path / "again", quiet, workers=2)
     manifest, sound = read_manifest(tmp_path / "again").model_dump(), read_manifest(short_recording).model_dump()

@@ -107,17 +107,17 @@ def test_a_large_part_is_given_without_waiting_for_the_one_that_is_drawn(small_s
     ],
 )
 def test_renderers_that_never_work_are_given_up(draw, message, small_settings, tmp_path, monkeypatch):
-    monkeypatch.setattr(renderers, "FLOOR_S", 2.0 if draw is always_hang else 20.0)
-    monkeypatch.setattr(renderers, "PATIENCE", 0.0)
-    monkeypatch.setattr(renderers, "DEATHS", 1)
+    monkeypatch.setattr(renderers, "MIN_SILENCE_S", 2.0 if draw is always_hang else 20.0)
+    monkeypatch.setattr(renderers, "SILENCE_FACTOR", 0.0)
+    monkeypatch.setattr(renderers, "MAX_DEATHS", 1)
     with pytest.raises(WorkError, match=message):
         draw_all(draw, small_settings, tmp_path)
 
 
 @pytest.mark.slow
 def test_one_that_gives_signs_of_life_may_take_as_long_as_it_needs(small_settings, tmp_path, monkeypatch):
-    monkeypatch.setattr(renderers, "FLOOR_S", 8.0)
-    monkeypatch.setattr(renderers, "PATIENCE", 0.0)
+    monkeypatch.setattr(renderers, "MIN_SILENCE_S", 8.0)
+    monkeypatch.setattr(renderers, "SILENCE_FACTOR", 0.0)
     assert draw_all(take_long, small_settings, tmp_path, 1).deaths == 0
 
 

@@ -12,7 +12,7 @@ from sim.recording import collect as collecting
 from sim.recording.collect import collect
 from sim.recording.derive import derive, explain_misfit
 from sim.recording.format import (
-    OF_USE,
+    DEPLOYMENT_MANIFEST,
     check_recording,
     is_whole,
     open_recording,
@@ -21,7 +21,7 @@ from sim.recording.format import (
     remove_recording,
     work_folder,
 )
-from sim.recording.manifest import STATES, choose_drive_in_use, light_part, seed_in_use
+from sim.recording.manifest import LIGHT_STATES, choose_drive_in_use, light_part, seed_in_use
 from sim.settings import CameraMountSettings, DeploymentSettings, DriveSettings, GridSettings, SimSettings
 from tests.helpers.recordings import change, quiet, read_files, read_what_must_agree, small_chunks
 
@@ -78,7 +78,7 @@ def test_the_drive_in_use_is_a_recording_of_its_own(sound):
     assert manifest.settings == choose_drive_in_use(settings).model_dump(mode="json")
     assert manifest.seed == seed_in_use(0) != seed_in_use(1)
     outer = read_manifest(folder).sha256
-    assert [name for name in outer if name.startswith("use/")] == [OF_USE]
+    assert [name for name in outer if name.startswith("use/")] == [DEPLOYMENT_MANIFEST]
     driven = open_truth(folder).pose
     assert not np.isclose(truth.pose[:IN_USE, 2], driven[:IN_USE, 2]).any(), "its headings are drawn from other streams"
 
@@ -154,7 +154,7 @@ def test_derived_is_as_collected(samples: int, in_use: int, sound, tmp_path):
 def test_without_a_drive_in_use_none_is_derived(plain, sound, tmp_path):
     derive(sound[1], plain, 0, tmp_path / "derived")
     assert read_files(tmp_path / "derived") == leave_out_use(read_files(sound[1]))
-    assert OF_USE not in read_manifest(tmp_path / "derived").sha256
+    assert DEPLOYMENT_MANIFEST not in read_manifest(tmp_path / "derived").sha256
     with pytest.raises(InputError, match=r"has no drive in use, and deployment\.drive_samples is 20"):
         derive(tmp_path / "derived", sound[0], 0, tmp_path / "again")
 
@@ -240,7 +240,7 @@ def test_the_same_drive_is_seen_in_changing_light(small_settings, tmp_path):
 
 def test_light_takes_turns_in_a_room_with_a_camera(plain):
     mixed = change(plain, drive={"mixed_light": True})
-    assert [light_part(mixed, number).deployment for number in range(6)] == [*STATES, *STATES[:2]]
+    assert [light_part(mixed, number).deployment for number in range(6)] == [*LIGHT_STATES, *LIGHT_STATES[:2]]
     assert light_part(plain, 1) is plain
     assert not choose_drive_in_use(mixed).drive.mixed_light
     for settings, message in (

@@ -8,7 +8,7 @@ import pytest
 
 from deepgps.evaluation.measures import find_seen
 from sim.errors import WorkError
-from sim.robot.drive import TOUCHED, UNCERTAIN_M, Segment, _go_straight, drive
+from sim.robot.drive import TOUCH_ENDINGS, UNCERTAIN_DISTANCE_M, Segment, _go_straight, drive
 from sim.robot.drive import next_segment as drive_segment
 from sim.robot.headings import STOP_DISTANCE_M, DriveMode, Visits
 from sim.robot.model import BURGER, CONTROL_PERIOD_S, RADIUS_M, TRACK_M, WHEEL_RADIUS_M
@@ -118,7 +118,7 @@ def test_endpoint_strategy_takes_start_and_end():
 
 def test_stops_before_the_walls():
     for segment in take(make_world(walls()), 12):
-        assert segment.ended not in TOUCHED
+        assert segment.ended not in TOUCH_ENDINGS
         x, y = np.abs(segment.pose[-1, :2])
         room = min(HALF_X - x, HALF_Y - y) - RADIUS_M
         assert room > -1e-4
@@ -129,7 +129,7 @@ def test_turning_place_is_one_observation():
     segments = take(make_world(furnished()), 10)
     assert not segments[0].continues
     for last, this in itertools.pairwise(segments):
-        assert this.continues == (last.ended not in TOUCHED)
+        assert this.continues == (last.ended not in TOUCH_ENDINGS)
         if this.continues:
             place = this.pose[0] - last.pose[-1]
             assert np.hypot(*place[:2]) < 0.003
@@ -205,7 +205,7 @@ def test_stall_ends_a_segment_and_drops_its_last_samples():
         segment = next_segment(Toy(fault, 0.7), DriveSettings(), np.random.default_rng(0), DriveMode(True))
         assert segment.ended == "stall" and segment.dropped >= 1
         assert distances(segment)[-1] == pytest.approx(segment.state[-1, 0], abs=1e-6)
-        assert 0.7 - 2 * UNCERTAIN_M < distances(segment)[-1] < 0.7
+        assert 0.7 - 2 * UNCERTAIN_DISTANCE_M < distances(segment)[-1] < 0.7
     free = next_segment(Toy("none", np.inf), DriveSettings(), np.random.default_rng(0), DriveMode(True))
     assert free.ended == "range"
     assert distances(free)[-1] == pytest.approx(1.0 - RADIUS_M - 0.04, abs=0.004)
@@ -247,7 +247,7 @@ def test_an_arc_says_that_the_robot_moved_if_its_wheels_turned():
 
 
 def test_robot_walled_in_is_stuck(monkeypatch):
-    monkeypatch.setattr("sim.robot.drive.WEDGED", 2)
+    monkeypatch.setattr("sim.robot.drive.MAX_ESCAPES", 2)
     room = empty_room()
     reach = RADIUS_M + 0.003 + 0.05
     for name, x, y in (("a", 1, 0), ("b", -1, 0), ("c", 0, 1), ("d", 0, -1)):
@@ -271,7 +271,7 @@ def test_robot_wedged_between_two_legs_frees_itself(pinch_m):
 
 
 def test_robot_wedged_for_good_is_relocated_to_the_start(monkeypatch):
-    monkeypatch.setattr("sim.robot.drive.WEDGED", 2)
+    monkeypatch.setattr("sim.robot.drive.MAX_ESCAPES", 2)
     room = walls()
     for name, x, y in (("a", 1, 0), ("b", -1, 0), ("c", 0, 1), ("d", 0, -1)):
         add_box(room, name, (1.2 + 0.158 * x, -0.6 + 0.158 * y, 0.5), (0.05 + 0.1 * abs(y), 0.05 + 0.1 * abs(x), 0.5))

@@ -10,14 +10,14 @@ from deepgps.config.scenario import load_scenario
 from deepgps.runs.inputs import digest
 from sim.errors import InputError
 from sim.robot.calibrate import run
-from sim.robot.drive import TOUCHED, next_segment
+from sim.robot.drive import TOUCH_ENDINGS, next_segment
 from sim.robot.headings import DriveMode, Visits
 from sim.robot.model import CAMERA, CAMERA_SITE, RADIUS_M, TRACK_M, WHEEL_RADIUS_M
 from sim.robot.own import describe_own
 from sim.robot.range_finder import clear_length
 from sim.robot.world import RoomWorld
 from sim.robot_log.log import check_log
-from sim.rooms.spec import PREFIX, empty_room
+from sim.rooms.spec import ROBOT_PREFIX, empty_room
 from sim.settings import RobotSettings, RoomSettings, SimSettings
 
 EXAMPLE = Path(__file__).parents[3] / "docs" / "examples" / "my_robot.xml"
@@ -69,7 +69,7 @@ def test_it_drives_in_a_room_and_keeps_its_own_distance_from_walls():
         assert world.is_free(segment.pose[:, :2]).all()
         way_m = np.linalg.norm(segment.pose[-1, :2] - segment.pose[0, :2])
         wheels = segment.wheel_angle[-1] - segment.wheel_angle[0]
-        lead_m = 1e-3 if segment.ended in TOUCHED else 2e-4  # a sample that is taken in motion runs ahead of the wheels
+        lead_m = 1e-3 if segment.ended in TOUCH_ENDINGS else 2e-4  # a sample taken in motion runs ahead of the wheels
         assert wheels.mean() * world.body.wheel_radius_m == pytest.approx(way_m, rel=2e-3, abs=lead_m)
     ours = RoomWorld(SimSettings(room=settings.room), drawn=False)
     assert world.free_space.reachable.sum() < ours.free_space.reachable.sum()
@@ -139,8 +139,8 @@ def test_the_camera_that_dm_env_shows_is_where_the_eye_is(tmp_path: Path):
         world = RoomWorld(SimSettings(robot=robot(path)), empty_room())
         world.place(np.zeros(3))
         data = world.data
-        assert data.cam(PREFIX + CAMERA).xpos == pytest.approx(data.site(PREFIX + CAMERA_SITE).xpos)
-        assert data.cam(PREFIX + CAMERA).xmat.reshape(3, 3)[2] == pytest.approx([0.0, 0.0, -1.0], abs=0.01)
+        assert data.cam(ROBOT_PREFIX + CAMERA).xpos == pytest.approx(data.site(ROBOT_PREFIX + CAMERA_SITE).xpos)
+        assert data.cam(ROBOT_PREFIX + CAMERA).xmat.reshape(3, 3)[2] == pytest.approx([0.0, 0.0, -1.0], abs=0.01)
 
 
 def test_springs_are_at_rest_where_it_is_placed(tmp_path: Path):
@@ -148,10 +148,10 @@ def test_springs_are_at_rest_where_it_is_placed(tmp_path: Path):
     load = f'<body name="load" pos="0 0 0.45">{spring}<geom type="sphere" size="0.01" mass="0.5" contype="0"/></body>'
     world = RoomWorld(SimSettings(robot=robot(changed(tmp_path, (EYE, load + EYE)))), empty_room())
     world.place(np.zeros(3))
-    settled_m = world.data.joint(f"{PREFIX}spring").qpos[0]
+    settled_m = world.data.joint(f"{ROBOT_PREFIX}spring").qpos[0]
     assert settled_m == pytest.approx(-0.5 * 9.81 / 100, rel=0.02)
     world.advance(200)
-    assert world.data.joint(f"{PREFIX}spring").qpos[0] == pytest.approx(settled_m, abs=1e-4)
+    assert world.data.joint(f"{ROBOT_PREFIX}spring").qpos[0] == pytest.approx(settled_m, abs=1e-4)
 
 
 SHELL = (

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim.robot.headings import NEVER_M, Visits
+from sim.robot.headings import UNVISITED_AGE_M, Visits
 from sim.robot.model import BURGER
 
 SHORT_M = 1.0
@@ -56,7 +56,7 @@ def test_segment_passed_over_is_fresh_and_what_is_beside_it_stale():
     visits.pass_over(angle)
     back, ahead, aside = (visits.staleness(turned, SHORT_M) for turned in (np.pi, 0.0, np.pi / 2))
     assert back < 1e-6 * ahead
-    assert ahead == pytest.approx(never * ((NEVER_M + 2.0) / NEVER_M) ** 2, rel=0.15)  # its end was passed over
+    assert ahead == pytest.approx(never * ((UNVISITED_AGE_M + 2.0) / UNVISITED_AGE_M) ** 2, rel=0.15)  # end passed over
     assert back < aside < ahead * 1.01
 
 

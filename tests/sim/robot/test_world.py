@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from sim.errors import WorkError
 from sim.robot.chassis import compile_scene
 from sim.robot.model import RADIUS_M, wheel_speeds
-from sim.robot.range_finder import ANGLE, REACH_M, SIDE_M, RangeFinder, clear_length, fan_heights
+from sim.robot.range_finder import ANGLE, REACH_M, SIDE_TOLERANCE_M, RangeFinder, clear_length, fan_heights
 from sim.robot.world import RoomWorld
 from sim.rooms.spec import empty_room
 from sim.settings import RoomSettings, SimSettings
@@ -136,7 +136,7 @@ def test_clear_length_to_a_pole(aside, ahead):
     add_box(room, "pole", (ahead + half, aside, 0.5), (half, half, 0.5))
     clear = clear_length(RangeFinder(room, 0.35).measure(0.0, 0.0, 0.0, REACH_M))
     nearest = max(abs(aside) - half, 0.0)
-    if nearest > RADIUS_M + SIDE_M:
+    if nearest > RADIUS_M + SIDE_TOLERANCE_M:
         assert clear > 3.0
     elif nearest < RADIUS_M - 0.025:
         assert clear == pytest.approx(ahead - np.sqrt(RADIUS_M**2 - nearest**2), abs=0.035)

@@ -11,11 +11,11 @@ from sim.rooms.build import build_room
 from sim.rooms.free_space import find_free_space
 from sim.rooms.plans import PLANS
 from sim.settings import RoomKind, RoomSettings, RoomShape
-from sim.settings.world import SMALLEST_M
+from sim.settings.world import MIN_ROOM_SIDE_M
 from tests.sim.rooms.test_look_alike import texture_of
 
 RADIUS_M, HEIGHT_M = 0.105, 0.37
-KINDS = [kind for kind in get_args(RoomKind) if kind not in SMALLEST_M]
+KINDS = [kind for kind in get_args(RoomKind) if kind not in MIN_ROOM_SIDE_M]
 EVERY = [(kind, shape) for kind in KINDS for shape in get_args(RoomShape)]
 HANGS = {"door", "roller_door", "window", "picture", "mirror", "whiteboard", "tool_wall", "clock", "wall_shelf"}
 

@@ -7,7 +7,7 @@ import pytest
 from sim.errors import InputError
 from sim.robot.world import RoomWorld
 from sim.rooms.build import build_room
-from sim.rooms.deployment import GAMMA, MOVABLE, move_furniture
+from sim.rooms.deployment import GAMMA, MOVABLE_KINDS, move_furniture
 from sim.rooms.free_space import collides
 from sim.rooms.spec import freeze
 from sim.sensors.camera.faults import decode
@@ -59,7 +59,7 @@ def test_pieces_are_pushed_by_so_much_or_not_at_all_and_touch_nothing_new(moved_
     way = {body.name: np.linalg.norm(moved.body(body.name).pos - body.pos) for body in room.bodies}
     pushed = {name for name, m in way.items() if m > 0}
     assert pushed
-    assert all(name.rpartition("_")[0] in MOVABLE for name in pushed)
+    assert all(name.rpartition("_")[0] in MOVABLE_KINDS for name in pushed)
     assert [way[name] for name in pushed] == pytest.approx([moved_m] * len(pushed))
     before, after = (count_overlaps(spec.compile()) for spec in (room, moved))
     assert all(depth > before.get(pair, 0.0) - 1e-6 for pair, depth in after.items())

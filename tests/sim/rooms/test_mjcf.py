@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sim.errors import InputError
-from sim.robot.chassis import AMBIENT, AMBIENT_WITHOUT_LAMPS, compile_scene
+from sim.robot.chassis import AMBIENT_LIGHT, LAMPLESS_AMBIENT_LIGHT, compile_scene
 from sim.robot.model import wheel_speeds
 from sim.robot.world import RoomWorld
 from sim.rooms.free_space import find_free_space
@@ -267,10 +267,10 @@ def test_walls_of_one_mesh_are_explained(tmp_path):
 def test_lamps_that_are_not_drawn_do_not_count_and_many_triangles_are_named(tmp_path, monkeypatch):
     point, spot = '<light type="point" pos="0 0 2"/>', '<light pos="0 0 2"/>'
     for lamps, ambient, notes in (
-        ("", AMBIENT_WITHOUT_LAMPS, 0),
-        (point, AMBIENT_WITHOUT_LAMPS, 1),
-        (point + spot, AMBIENT, 1),
-        (spot, AMBIENT, 0),
+        ("", LAMPLESS_AMBIENT_LIGHT, 0),
+        (point, LAMPLESS_AMBIENT_LIGHT, 1),
+        (point + spot, AMBIENT_LIGHT, 1),
+        (spot, AMBIENT_LIGHT, 0),
     ):
         room = load_room(_write(tmp_path, WALLS + lamps))
         model = compile_scene(room, SimSettings())

@@ -137,7 +137,7 @@ def test_what_drawing_lacks_is_named_with_its_cure(masked, backend, problem, fix
 
 
 def test_a_driver_that_kills_the_process_is_an_answer_too_and_need_not_speak_text(monkeypatch):
-    monkeypatch.setattr(doctor, "_DRAW", "import os; os.write(2, b'Ger\\xe4t fehlt\\n'); os.abort()")
+    monkeypatch.setattr(doctor, "_DRAWING_SCRIPT", "import os; os.write(2, b'Ger\\xe4t fehlt\\n'); os.abort()")
     check = check_renderer()
     assert not check.ok
     assert "code -6" in check.text and "t fehlt" in check.text and check.fix == doctor.EGL_FIX

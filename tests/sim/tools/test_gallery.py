@@ -9,17 +9,17 @@ from sim.tools.gallery import draw_gallery, draw_room, lay_out
 
 def test_a_row_shows_the_room_from_a_corner_from_above_and_as_the_camera_sees_it():
     row = draw_room(RoomSettings(kind="bedroom", shape="l", seed=1))
-    columns = gallery.PERSPECTIVE_PX + gallery.TOP_PX + gallery.ROW_PX + gallery.POLAR_PX + 4 * gallery.MARGIN_PX
+    columns = gallery.PERSPECTIVE_PX + gallery.TOP_VIEW_PX + gallery.ROW_PX + gallery.POLAR_PX + 4 * gallery.MARGIN_PX
     assert row.shape == (gallery.ROW_PX + gallery.MARGIN_PX + gallery.LABEL_PX, columns, 3)
     left = gallery.MARGIN_PX
-    for width in (gallery.PERSPECTIVE_PX, gallery.TOP_PX, gallery.ROW_PX, gallery.POLAR_PX):
+    for width in (gallery.PERSPECTIVE_PX, gallery.TOP_VIEW_PX, gallery.ROW_PX, gallery.POLAR_PX):
         part = row[gallery.LABEL_PX + gallery.MARGIN_PX :, left : left + width]
         assert part.std() > 25.0
         assert len(np.unique(part.reshape(-1, 3), axis=0)) > 500
         left += width + gallery.MARGIN_PX
     # An L-shaped room leaves a corner of the top view empty, and the start is a red dot in it.
     start = gallery.PERSPECTIVE_PX + 2 * gallery.MARGIN_PX
-    top = row[gallery.LABEL_PX + gallery.MARGIN_PX :, start : start + gallery.TOP_PX]
+    top = row[gallery.LABEL_PX + gallery.MARGIN_PX :, start : start + gallery.TOP_VIEW_PX]
     assert (top == 255).all(axis=-1).mean() > 0.1
     assert (top == (230, 40, 40)).all(axis=-1).sum() > 50
 

@@ -18,7 +18,15 @@ from sim.rooms.build import build_room
 from sim.rooms.free_space import find_free_space
 from sim.sensors.camera.faults import decode
 from sim.sensors.camera.fisheye_images import PERSON_HEIGHT_M, PERSON_RADIUS_M, place_lamp, place_person
-from sim.sensors.camera.illumination import GREY, MOST, _set_lights, expose, find_sources, hang_lamp, mix
+from sim.sensors.camera.illumination import (
+    MAX_LIGHTS,
+    TARGET_BRIGHTNESS,
+    _set_lights,
+    expose,
+    find_sources,
+    hang_lamp,
+    mix,
+)
 from sim.settings import CameraSettings, DeploymentSettings, RoomSettings, SimSettings
 
 ROOM = RoomSettings(kind="bedroom", width_m=3.6, depth_m=3.2, seed=3)
@@ -84,7 +92,7 @@ def test_every_kind_of_room_has_lamps_and_all_but_a_labyrinth_have_windows():
     for kind in ("living_room", "office", "workshop", "labyrinth"):
         model = build_room(RoomSettings(kind=kind)).compile()
         lamps, windows = find_sources(model, "lamps"), find_sources(model, "windows")
-        assert 1 <= len(lamps.place) <= MOST and lamps.strength.sum() == pytest.approx(1.0)
+        assert 1 <= len(lamps.place) <= MAX_LIGHTS and lamps.strength.sum() == pytest.approx(1.0)
         assert (len(windows.place) > 0) == (kind != "labyrinth")
         # a window shines into the room: towards its middle, which is the origin
         assert ((windows.facing * windows.place).sum(axis=1) < 0.0).all()
@@ -103,7 +111,7 @@ def test_daylight_needs_a_window(states: np.ndarray):
 def test_automatic_exposure_undoes_gain_and_colour_of_the_light(gain: float, balance: list[float]):
     light = np.random.default_rng(0).uniform(0.02, 0.9, (2, 6, 16, 3)).astype(np.float32)
     seen = expose(light)
-    assert np.allclose(seen.mean(axis=(1, 2)), GREY, rtol=1e-4)
+    assert np.allclose(seen.mean(axis=(1, 2)), TARGET_BRIGHTNESS, rtol=1e-4)
     assert np.allclose(expose(light * np.float32(gain) * np.array(balance, np.float32)), seen, rtol=1e-3)
     assert np.isfinite(expose(np.zeros((4, 8, 3), np.float32))).all()
 
