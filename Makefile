@@ -4,7 +4,7 @@ export PYTHON TORCH_INDEX
 # One worker a file: what its tests share is made once.
 PYTEST := $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder --durations=15
 
-.PHONY: setup setup-dev demo tiny test test-all bench docs faults check format dist clean
+.PHONY: setup setup-dev demo tiny test test-all bench times docs faults check format dist clean
 
 setup:  ## .venv with this project and what running needs; system packages where something is missing
 	@.ci/setup
@@ -15,7 +15,7 @@ setup-dev:  ## the same, and what tests, checks and the extras need
 demo: setup  ## the whole chain on a living room: drive, see, learn, position, show
 	$(BIN)/deepgps run living_room
 
-tiny: setup  ## the same, small: under a minute
+tiny: setup  ## the same, small
 	$(BIN)/deepgps run tiny
 
 test: setup-dev  ## every law, quickly
@@ -24,15 +24,18 @@ test: setup-dev  ## every law, quickly
 test-all: setup-dev  ## all tests: whole runs and studies, killed ones too, examples, every command of the documentation
 	$(PYTEST)
 
-bench: setup  ## how fast this machine runs the demo, draws, trains and positions: 5 to 20 minutes
+bench: setup  ## how fast this machine runs the demo, draws, trains and positions
 	PYTHONPATH=. $(BIN)/python tests/bench.py
+
+times: setup-dev  ## how long set-up, demo and tests take on this machine: the README's table
+	PYTHONPATH=. $(BIN)/python tests/times.py
 
 docs: setup-dev  ## the reference from the code, and the documentation, in build/docs; warnings are errors
 	$(BIN)/python -m docs.generate
 	$(BIN)/sphinx-build -W --keep-going -q docs build/docs
 	@echo "look at it: build/docs/index.html"
 
-faults: setup-dev  ## attack all of it from outside and write build/faults.md: half an hour, other cases each time
+faults: setup-dev  ## attack all of it from outside and write build/faults.md, other cases each time
 	@mkdir -p build
 	$(BIN)/python -m tests.faults --out build/faults.md
 

@@ -28,6 +28,8 @@ from sim.files.checksums import read_json
 from sim.settings import EncoderSettings
 from tests.helpers.pages import PAGES, ROOT, check_block, find_blocks
 from tests.helpers.reader import Reader
+from tests.times import COLUMNS, list_rows
+from tests.times import COMMANDS as COMMANDS_TIMED
 
 RUN = {"bash", "python", "yaml"}
 SHOWN = {"text", "xml", "toml", "bibtex", "{eval-rst}"}
@@ -74,6 +76,33 @@ def test_a_page_s_headings_skip_no_level(page: Path) -> None:
     prose = re.sub(r"^(`{3,}).*?^\1", "", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
     levels = [0, *(len(marks) for marks in re.findall(r"^(#+) ", prose, re.MULTILINE))]
     assert all(after <= before + 1 for before, after in itertools.pairwise(levels))
+
+
+def test_the_readme_has_the_table_that_make_times_prints() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    rows = dict(re.findall(r"^\| (.+?) +\| +[\d.]+ \w+ \| +([\d.]+) (?:s|min) \|$", text, re.MULTILINE))
+    assert list(rows) == [name for name, _ in COMMANDS_TIMED.values()]
+    assert all(re.search(rf"^\|  .*\| +{column}\b", text, re.MULTILINE) for column in COLUMNS)
+
+
+def test_of_two_machines_the_one_that_was_measured_has_its_own_time() -> None:
+    assert list(list_rows({"demo": 360.0}, slow=True)) == [("`make demo` after it", "2 min", "6 min")]
+    assert list(list_rows({"tiny": 12.0}, slow=False)) == [("`deepgps run tiny`", "10 s", "40 s")]
+
+
+MADE = re.compile(r"\b([0-9a-f]{7}) \(\d{1,2} \w+ 20\d\d\)")
+"""A commit and its date."""
+
+
+@pytest.mark.parametrize(
+    "page", sorted((ROOT / "docs" / "results").glob("*/table.md")), ids=lambda page: page.parent.name
+)
+def test_a_published_page_names_commit_and_date_and_so_does_the_page_of_results(page: Path) -> None:
+    made = MADE.findall(page.read_text(encoding="utf-8"))
+    assert made, "it names no commit with its date"
+    results = (ROOT / "docs" / "results.md").read_text(encoding="utf-8").replace("\n", " ")
+    told = {commit: re.findall(r"`(\S+?)`", names) for commit, names in re.findall(r"\b(\w{7}) \((`.+?)\)", results)}
+    assert [commit for commit in made if page.parent.name not in told.get(commit, [])] == []
 
 
 @pytest.mark.parametrize("page", REFERENCE, ids=lambda page: page.name)
