@@ -33,7 +33,7 @@ from sim.sensors.encoder import check_odometry, ticks_to_distance
 from sim.settings import CameraSettings
 
 Values = np.ndarray | Sequence[Any]  # An array, or nested sequences of numbers or arrays
-SENSORS: dict[ObservationKind, str] = {"polar_image": "fisheye", "scan": "lidar", "vector": "landmarks"}
+SENSOR_NAMES: dict[ObservationKind, str] = {"polar_image": "fisheye", "scan": "lidar", "vector": "landmarks"}
 """Name of the sensor for each kind of observation that methods learn from."""
 SETTINGS: dict[ObservationKind, dict[str, Any]] = {
     "polar_image": {},
@@ -42,8 +42,8 @@ SETTINGS: dict[ObservationKind, dict[str, Any]] = {
 }
 """Settings that give a scenario these observations."""
 CELL_M = 0.02
-MOST_CELLS = 25_000_000
-NEAR_M = 0.15  # Without a map, the floor within this distance of a true pose counts as free [m]
+MAX_CELLS = 25_000_000
+FREE_RADIUS_M = 0.15  # Without a map, the floor within this distance of a true pose counts as free [m]
 
 
 def write_recording(
@@ -105,9 +105,9 @@ def write_recording(
     """
     folder = Path(folder)
     check_place(folder)
-    if kind not in SENSORS:
-        raise InputError(f"kind {quote(kind)}: must be {', '.join(SENSORS)}")
-    observation, sensor = _take(observations, DIMENSIONS[kind], "observations", kind), SENSORS[kind]
+    if kind not in SENSOR_NAMES:
+        raise InputError(f"kind {quote(kind)}: must be {', '.join(SENSOR_NAMES)}")
+    observation, sensor = _take(observations, DIMENSIONS[kind], "observations", kind), SENSOR_NAMES[kind]
     reading, seconds = _take_readings(readings, time, len(observation), odometry)
     test = _take_tests(test_observations, observation, DIMENSIONS[kind])
     turned = _take_turns(turns, turn_observations, observation, reading)
@@ -284,21 +284,21 @@ def _take_truth(
 
 
 def guess_free_space(places: np.ndarray) -> FreeSpace:
-    """The floor within ``NEAR_M`` of places (N, 2) [m] where the robot has been, as a map.
+    """The floor within ``FREE_RADIUS_M`` of places (N, 2) [m] where the robot has been, as a map.
 
     Raises:
         InputError: The places are too far apart for a map.
     """
-    low, high = places.min(axis=0) - 2 * NEAR_M, places.max(axis=0) + 2 * NEAR_M
+    low, high = places.min(axis=0) - 2 * FREE_RADIUS_M, places.max(axis=0) + 2 * FREE_RADIUS_M
     width_m, depth_m = high - low
-    if width_m * depth_m > MOST_CELLS * CELL_M**2:
+    if width_m * depth_m > MAX_CELLS * CELL_M**2:
         raise InputError(
-            f"pose: covers {width_m:g} x {depth_m:g} m, more than the {MOST_CELLS * CELL_M**2:g} m2 of which a map can "
+            f"pose: covers {width_m:g} x {depth_m:g} m, more than the {MAX_CELLS * CELL_M**2:g} m2 of which a map can "
             "be made; give free_space, or positions in metres"
         )
     x, y = (np.arange(first, last, CELL_M) for first, last in zip(low, high, strict=True))
     cells = np.stack(np.meshgrid(x, y), axis=-1)
-    distance, _ = KDTree(places).query(cells.reshape(-1, 2), distance_upper_bound=NEAR_M)
+    distance, _ = KDTree(places).query(cells.reshape(-1, 2), distance_upper_bound=FREE_RADIUS_M)
     free = np.isfinite(distance).reshape(cells.shape[:2])
-    side_m = float(np.ptp(places, axis=0).min() + 2 * NEAR_M)
+    side_m = float(np.ptp(places, axis=0).min() + 2 * FREE_RADIUS_M)
     return FreeSpace(low, CELL_M, free, free.copy(), places[0], side_m)

@@ -10,9 +10,9 @@ from pathlib import Path
 from deepgps.terminal.signals import leave_at_signals
 from deepgps.terminal.streams import open_streams
 
-BEGUN = time.monotonic()
-IS_WORKER = current_process().name != "MainProcess"  # known before parent_process() is
-FILES = {"deepgps", "main.py"}
+START_S = time.monotonic()
+WORKER_PROCESS = current_process().name != "MainProcess"  # known before parent_process() is
+PROGRAM_NAMES = {"deepgps", "main.py"}
 """File names under which the command is started: the package's script, or ``python -m deepgps.commands.main``."""
 
 
@@ -23,8 +23,8 @@ def use_utf8() -> None:
         os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])
 
 
-if Path(sys.argv[0]).name in FILES:  # not in a program that only imports part of the command
-    if not IS_WORKER:
+if Path(sys.argv[0]).name in PROGRAM_NAMES:  # not in a program that only imports part of the command
+    if not WORKER_PROCESS:
         leave_at_signals()
         use_utf8()
     open_streams()

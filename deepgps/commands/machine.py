@@ -39,7 +39,7 @@ def doctor_command(words: Sequence[str]) -> None:
         raise WorkError("something is missing; the remedies are listed above")
 
 
-MOST_SEEDS = 100
+MAX_SEEDS = 100
 
 
 @dataclass(frozen=True)
@@ -81,11 +81,11 @@ def _parse_seeds(text: str) -> list[int]:
     try:
         first, dash, last = text.partition("-")
         if dash:
-            seeds = list(range(int(first), min(int(last), int(first) + MOST_SEEDS) + 1))
+            seeds = list(range(int(first), min(int(last), int(first) + MAX_SEEDS) + 1))
         else:
             seeds = [int(part) for part in text.split(",")]
     except ValueError:
         seeds = []
-    if not seeds or min(seeds) < 0 or len(seeds) > MOST_SEEDS:
+    if not seeds or min(seeds) < 0 or len(seeds) > MAX_SEEDS:
         raise InputError(f"--seeds {text!r}: one to a hundred whole numbers, as 0-3 or 0,2,5")
     return seeds

@@ -13,7 +13,7 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any
 
-from deepgps.commands.begin import IS_WORKER
+from deepgps.commands.begin import WORKER_PROCESS
 from deepgps.terminal.console import console, print_error, say, show_warnings, warn_plainly
 from deepgps.terminal.failures import explain, find_version
 from deepgps.terminal.signals import ignore_signals, stop_at_signals
@@ -21,7 +21,7 @@ from deepgps.terminal.streams import flush_streams
 from sim.errors import InputError, quote, shorten
 from sim.files import SCENARIOS
 
-if IS_WORKER:
+if WORKER_PROCESS:
     warn_plainly()  # a worker has no progress bars
 
 

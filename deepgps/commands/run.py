@@ -7,7 +7,7 @@ from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deepgps.commands.begin import BEGUN
+from deepgps.commands.begin import START_S
 from deepgps.commands.scenario import RunArguments, parse_scenario
 from deepgps.config.scenario import Scenario
 from deepgps.runs.source import Source
@@ -26,7 +26,7 @@ def run_command(words: Sequence[str]) -> None:
         return
     from deepgps.reports.run_report import print_report
 
-    print_report(folder, console, time.monotonic() - BEGUN)
+    print_report(folder, console, time.monotonic() - START_S)
     say(f"\nlook at it: deepgps view {quote_path(folder)}")
 
 

@@ -14,7 +14,7 @@ OPTIONS = (
     ("--log FILE", "also write the drive as a robot's log (MCAP)"),
     ("--plugin FILE ...", "methods and encoder faults of your own"),
 )
-FIRST = {
+FIRST_SETTINGS = {
     "seed": "seed of driving, sensors and weights",
     "methods": "methods to train and compare",
     "room.kind": "living_room, bedroom, office, kitchen, ...",
@@ -34,7 +34,7 @@ COLUMNS = 80
 
 def write_help(command: str, about: str | None) -> str:
     """The help of a command that takes a scenario: usage, an example, its options, and the settings to begin with."""
-    rows = [*OPTIONS, *((f"{as_option(name)} {_name_value(name)}", text) for name, text in FIRST.items())]
+    rows = [*OPTIONS, *((f"{as_option(name)} {_name_value(name)}", text) for name, text in FIRST_SETTINGS.items())]
     wide = max(len(option) for option, _ in rows) + 2
     options = [f"  {option:<{wide}}{text}" for option, text in rows]
     groups = [as_option(name)[2:] for name, field in Scenario.model_fields.items() if find_group(field.annotation)]

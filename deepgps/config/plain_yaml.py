@@ -7,11 +7,11 @@ import yaml
 
 from sim.errors import InputError, quote, read_file, shorten
 
-LARGEST_FILE = 200_000  # bytes; a scenario has a few hundred
-RAISED_BY_VALUES = (ValueError, TypeError, LookupError, AttributeError, ArithmeticError)
+MAX_FILE_BYTES = 200_000  # bytes; a scenario has a few hundred
+VALUE_ERRORS = (ValueError, TypeError, LookupError, AttributeError, ArithmeticError)
 """Whatever PyYAML raises for a value that does not suit its tag."""
 _TAG = "tag:yaml.org,2002:"
-_PLAIN = {_TAG + name for name in ("null", "bool", "int", "float", "str", "seq", "map")}
+_PLAIN_TAGS = {_TAG + name for name in ("null", "bool", "int", "float", "str", "seq", "map")}
 
 
 class _Loader(yaml.SafeLoader):
@@ -22,7 +22,7 @@ class _Loader(yaml.SafeLoader):
         if isinstance(event, yaml.AliasEvent):
             raise yaml.MarkedYAMLError(problem="aliases are not allowed", problem_mark=event.start_mark)
         node = super().compose_node(parent, index)
-        if node is not None and node.tag not in _PLAIN:
+        if node is not None and node.tag not in _PLAIN_TAGS:
             what = quote(node.value) if isinstance(node, yaml.ScalarNode) else f"a {node.id}"
             problem = f"{what} is of type {node.tag.removeprefix(_TAG)}; put quotes around what is text"
             raise yaml.MarkedYAMLError(problem=problem, problem_mark=node.start_mark)
@@ -45,7 +45,7 @@ class _Loader(yaml.SafeLoader):
 def read_yaml(path: Path) -> dict[str, Any]:
     """Read a YAML mapping of plain values; raises InputError, which names the file, the line and the problem."""
     what = shorten(str(path), 300)
-    data = read_file(path, LARGEST_FILE, f"{what}: a settings file")
+    data = read_file(path, MAX_FILE_BYTES, f"{what}: a settings file")
     try:
         values = yaml.load(data.decode("utf-8"), _Loader)
     except yaml.MarkedYAMLError as error:
@@ -53,7 +53,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
         raise InputError(f"{what}: {line}{shorten(str(error.problem), 200)}") from None
     except RecursionError:
         raise InputError(f"{what}: its values are nested too deeply") from None
-    except (yaml.YAMLError, *RAISED_BY_VALUES) as error:
+    except (yaml.YAMLError, *VALUE_ERRORS) as error:
         raise InputError(f"{what}: {shorten(str(error).partition(chr(10))[0], 300)}") from None
     if not isinstance(values, dict):
         kind = "is empty" if values is None else f"holds a {type(values).__name__}"

@@ -18,9 +18,9 @@ from sim.plugins import ENCODER_FAULTS, LOADING_HINT, MODULE_PREFIX, EncoderFaul
 from sim.settings import EncoderSettings
 
 NAME = re.compile(r"[a-z][a-z0-9_]{0,40}")
-TAKEN = {"features", "recording", "figures", "pairs", "truth", "heading"}
+RESERVED_NAMES = {"features", "recording", "figures", "pairs", "truth", "heading"}
 """Names that no method can have: folders of a run, and arrays of an error field."""
-LARGEST = 10 * 1024 * 1024
+MAX_BYTES = 10 * 1024 * 1024
 
 
 def load_plugins(files: Iterable[str | Path]) -> None:
@@ -41,7 +41,7 @@ def load_plugins(files: Iterable[str | Path]) -> None:
             if not isinstance(added, dict) or not all(isinstance(record, kind) for record in added.values()):
                 raise InputError(f"plugin {path}: {attribute} must map names to deepgps.{kind.__name__}")
             for own in added:
-                if own in table or own in TAKEN or own in EncoderSettings.model_fields:
+                if own in table or own in RESERVED_NAMES or own in EncoderSettings.model_fields:
                     raise InputError(f"plugin {path}: the name {own} is taken")
                 if not isinstance(own, str) or not NAME.fullmatch(own):
                     raise InputError(f"plugin {path}: {quote(own)} is no name of lower-case letters, digits and _")
@@ -65,7 +65,7 @@ def check_plugins(scenario: Scenario) -> None:
 
 
 def _import(path: Path, name: str) -> ModuleType:
-    code = read_file(path, LARGEST, f"plugin {shorten(str(path), 300)}")
+    code = read_file(path, MAX_BYTES, f"plugin {shorten(str(path), 300)}")
     module = ModuleType(name)
     module.__file__ = str(path)
     exec(compile(code, str(path), "exec"), module.__dict__)  # without a file of bytecode beside the user's file

@@ -21,7 +21,7 @@ from pydantic_core import ErrorDetails
 from deepgps.config.learning import LearnSettings, check_name
 from deepgps.config.methods import METHODS
 from deepgps.config.plain_yaml import read_yaml
-from deepgps.config.setting_problems import DEEPEST, describe_first, describe_problems
+from deepgps.config.setting_problems import MAX_DEPTH, describe_first, describe_problems
 from deepgps.config.spelling import as_key, find_like, suggest
 from sim.errors import InputError, quote, shorten
 from sim.files import SCENARIOS
@@ -30,22 +30,22 @@ from sim.recording.manifest import ObservationKind, name_sensors
 from sim.settings import SimSettings
 from sim.settings.group import Seed
 
-STORED = "stored"
+STORED_CONTEXT = "stored"
 """The context in which a stored run's scenario is checked: it can be opened without its plugins, not continued."""
 
 
 def _check_method(name: str, info: ValidationInfo) -> str:
-    return name if info.context == STORED else check_name(name, METHODS, f"; {LOADING_HINT}")
+    return name if info.context == STORED_CONTEXT else check_name(name, METHODS, f"; {LOADING_HINT}")
 
 
 MethodName = Annotated[str, AfterValidator(_check_method)]
-GIVEN_BY: dict[ObservationKind, str] = {
+OBSERVATION_SOURCES: dict[ObservationKind, str] = {
     "polar_image": "images, which world room with sensor fisheye gives",
     "scan": "scans, which world obstacles or, in a room, sensor lidar gives",
     "vector": "distances to landmarks, which world landmarks alone gives",
 }
-LONGEST_NAME = 64
-NAME = rf"^[A-Za-z0-9_-]{{1,{LONGEST_NAME}}}$"  # Pattern of the names of scenarios and studies, which name folders
+MAX_NAME_LETTERS = 64
+NAME = rf"^[A-Za-z0-9_-]{{1,{MAX_NAME_LETTERS}}}$"  # Pattern of the names of scenarios and studies, which name folders
 
 
 class Scenario(SimSettings):
@@ -63,7 +63,7 @@ class Scenario(SimSettings):
     @model_validator(mode="after")
     def _plugins_define_the_faults(self, info: ValidationInfo) -> "Scenario":
         for name, strength in self.encoder.plugins.items():
-            if name not in ENCODER_FAULTS and info.context != STORED:
+            if name not in ENCODER_FAULTS and info.context != STORED_CONTEXT:
                 raise ValueError(f"encoder.plugins.{shorten(name)} {strength:g}: no such fault; {LOADING_HINT}")
         return self
 
@@ -79,7 +79,7 @@ class Scenario(SimSettings):
         for name in self.methods:
             observes = METHODS[name].observes if name in METHODS else None
             if observes and observes != self.observation:
-                raise ValueError(f"methods: {name} needs {GIVEN_BY[observes]}")
+                raise ValueError(f"methods: {name} needs {OBSERVATION_SOURCES[observes]}")
             if name in METHODS and METHODS[name].reads_turns and not self.drive.turn_images:
                 raise ValueError(f"methods: {name} needs drive.turn_images true")
         if self.observation != "polar_image" and self.learn.network.architecture != "spectral":
@@ -151,7 +151,7 @@ def override_scenario(
 
 def clean_name(text: str) -> str:
     """A name after that of a file or folder: without what no name of a scenario, study or recording may hold."""
-    return re.sub(r"[^A-Za-z0-9_-]", "_", text)[:LONGEST_NAME]
+    return re.sub(r"[^A-Za-z0-9_-]", "_", text)[:MAX_NAME_LETTERS]
 
 
 def flatten(overrides: Mapping[str, Any]) -> dict[str, Any]:
@@ -202,7 +202,7 @@ def names_in(folder: Path) -> list[str]:
 def check_scenario(values: Mapping[str, Any], origin: Path) -> Scenario:
     """Make a scenario from the values of a stored run's file; raises InputError that names it, and the settings."""
     try:
-        return Scenario.model_validate(values, context=STORED)
+        return Scenario.model_validate(values, context=STORED_CONTEXT)
     except ValidationError as error:
         raise InputError(f"{shorten(str(origin), 300)}: {describe_problems(error, Scenario)}") from None
 
@@ -249,6 +249,6 @@ def _set(values: Mapping[str, Any], dotted: str, names: Sequence[str], value: An
     group = values.get(name, {})
     if not isinstance(group, Mapping):
         raise InputError(f"{shorten(dotted)}: {shorten(name)} is not a group of settings")
-    if len(inner) > DEEPEST:
+    if len(inner) > MAX_DEPTH:
         raise InputError(f"{shorten(dotted)}: there is no such setting")
     return {**values, name: _set(group, dotted, inner, value)}

@@ -12,8 +12,8 @@ from deepgps.config.spelling import find_group, find_like, find_settings_like, f
 from sim.errors import quote, shorten
 from sim.settings import Group
 
-DEEPEST = 8  # Limit of nested groups in the name of a setting
-MOST_PROBLEMS = 5  # Number of wrong settings that one message describes; it only counts the others
+MAX_DEPTH = 8  # Limit of nested groups in the name of a setting
+MAX_PROBLEMS = 5  # Number of wrong settings that one message describes; it only counts the others
 
 
 def describe_problems(error: ValidationError, kind: type[Group]) -> str:
@@ -23,7 +23,7 @@ def describe_problems(error: ValidationError, kind: type[Group]) -> str:
 
 def describe_first(problems: Sequence[ErrorDetails], kind: type[Group], names: Sequence[str | None] = ()) -> str:
     """The first problems; ``names`` are those of the settings, as the user has written them, where they are known."""
-    known = zip_longest(problems[:MOST_PROBLEMS], names[:MOST_PROBLEMS])
+    known = zip_longest(problems[:MAX_PROBLEMS], names[:MAX_PROBLEMS])
     return join_problems([_describe(problem, kind, name) for problem, name in known], len(problems))
 
 
@@ -33,7 +33,7 @@ def join_problems(first: Sequence[str], count: int) -> str:
 
 
 def _describe(details: ErrorDetails, kind: type[Group], written: str | None = None) -> str:
-    name = written or ".".join(shorten(str(part), 60) for part in details["loc"][:DEEPEST])
+    name = written or ".".join(shorten(str(part), 60) for part in details["loc"][:MAX_DEPTH])
     if details["type"] == "extra_forbidden":
         return f"{name}: {_explain_unknown(details['loc'], kind)}"
     if details["type"] == "value_error":

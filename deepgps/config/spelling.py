@@ -6,8 +6,8 @@ from typing import Any, get_args, get_origin
 
 from sim.settings import Group
 
-LIKE, MUCH_LIKE = 0.65, 0.8  # Similarity from which a name counts as a misspelling: among few names, and among many
-LONGEST = 100  # Letters of a name that are compared
+MIN_SIMILARITY, MIN_SIMILARITY_OF_MANY = 0.65, 0.8  # Of a misspelling: among few names, and among many
+MAX_LETTERS = 100  # Letters of a name that are compared
 
 
 def as_key(dotted: str) -> str:
@@ -49,22 +49,22 @@ def find_type(dotted: str, kind: type[Group]) -> Any:
 
 def find_like(name: str, known: Collection[str]) -> str | None:
     """The one of a few names that is most like a wrong one, if any is."""
-    return next(iter(difflib.get_close_matches(name[:LONGEST], known, n=1, cutoff=LIKE)), None)
+    return next(iter(difflib.get_close_matches(name[:MAX_LETTERS], known, n=1, cutoff=MIN_SIMILARITY)), None)
 
 
 def find_settings_like(dotted: str, kind: type[Group]) -> list[str]:
     """Settings that a wrong dotted name may have meant: one of the same group, or the same name in other groups."""
     names = [name for name, _ in list_settings(kind)]
-    group, _, leaf = dotted[:LONGEST].rpartition(".")
+    group, _, leaf = dotted[:MAX_LETTERS].rpartition(".")
     inside = {name.rpartition(".")[2]: name for name in names if name.rpartition(".")[0] == group}
     if like := find_like(leaf, inside):
         return [inside[like]]
     if elsewhere := [name for name in names if name.rpartition(".")[2] == leaf]:
         return elsewhere[:3]
     if group:
-        return difflib.get_close_matches(dotted[:LONGEST], names, n=1, cutoff=MUCH_LIKE)
+        return difflib.get_close_matches(dotted[:MAX_LETTERS], names, n=1, cutoff=MIN_SIMILARITY_OF_MANY)
     leaves = {name.rpartition(".")[2]: name for name in names}
-    return [leaves[like] for like in difflib.get_close_matches(leaf, leaves, n=1, cutoff=MUCH_LIKE)]
+    return [leaves[like] for like in difflib.get_close_matches(leaf, leaves, n=1, cutoff=MIN_SIMILARITY_OF_MANY)]
 
 
 def suggest(found: Collection[str | None]) -> str:

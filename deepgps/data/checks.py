@@ -14,7 +14,7 @@ from sim.errors import InputError
 from sim.recording.format import Recording
 from sim.sensors.encoder import check_odometry, count_from_first, measure_tick
 
-MOST_APART_DEG = 2.0  # Difference of two fields of view that moves no pixel by more than a ring or so [deg]
+MAX_ANGLE_DIFFERENCE_DEG = 2.0  # Difference of two fields of view that moves no pixel by more than a ring or so [deg]
 
 
 def find_view(recording: Recording) -> float | None:
@@ -25,14 +25,14 @@ def find_view(recording: Recording) -> float | None:
 
 def check_view(used_deg: float, learned_deg: float | None) -> None:
     """Raise InputError if images of this field of view are not like those that were learned from; None: unknown."""
-    if learned_deg is not None and abs(used_deg - learned_deg) > MOST_APART_DEG:
+    if learned_deg is not None and abs(used_deg - learned_deg) > MAX_ANGLE_DIFFERENCE_DEG:
         raise InputError(
             f"camera.field_of_view_deg {used_deg:g}: the run has learned from images of {learned_deg:g}, so no place "
             "would be found; set the same, or leave it out"
         )
 
 
-FASTEST_MPS = 10.0
+MAX_SPEED_MPS = 10.0
 """Highest credible speed of a wheel of a robot in a room [m/s]; a counter that wraps around or restarts exceeds it."""
 ROUNDING_TICKS = 3  # Ticks that a gap of any length may be off by
 MIN_GAPS = 100  # If one wheel turns in so many gaps and the other in none, the other's counter counts as dead
@@ -74,7 +74,7 @@ def check_readings(reading: np.ndarray, time: np.ndarray, observations: int, odo
     _check_ticks(np.diff(count_from_first(reading[:, 2:]), axis=0), seconds, gap[:, 0] == 0, measure_tick(odometry))
 
 
-LARGEST = 1e9  # Larger numbers are refused as observations: their squares could exceed the range of float32
+MAX_VALUE = 1e9  # Larger numbers are refused as observations: their squares could exceed the range of float32
 CHUNK = 64
 
 
@@ -87,21 +87,21 @@ def check_observations(observation: np.ndarray, name: str) -> None:
     wrong = 0
     for start in range(0, len(observation), CHUNK):
         part = np.asarray(observation[start : start + CHUNK])
-        able = np.isfinite(part) & (np.abs(part) <= LARGEST)
+        able = np.isfinite(part) & (np.abs(part) <= MAX_VALUE)
         wrong += int((~able).reshape(len(part), -1).any(axis=1).sum())
     if wrong:
         raise InputError(
-            f"{name}: {wrong} of {len(observation)} observations hold NaN, infinity or a number beyond {LARGEST:g}"
+            f"{name}: {wrong} of {len(observation)} observations hold NaN, infinity or a number beyond {MAX_VALUE:g}"
         )
 
 
 def _check_ticks(gap: np.ndarray, seconds: np.ndarray, inside: np.ndarray, tick_m: float) -> None:
     speed_mps = (np.abs(gap).max(axis=1, initial=0) - ROUNDING_TICKS).clip(0) * tick_m / seconds
-    if (speed_mps > FASTEST_MPS).any():
+    if (speed_mps > MAX_SPEED_MPS).any():
         row = int(speed_mps.argmax())
         raise InputError(
             f"readings, time: a wheel drives {speed_mps[row]:.3g} m/s before reading {row + 1}, but at most "
-            f"{FASTEST_MPS:g} m/s is believed; ticks, times or the manifest's odometry are wrong"
+            f"{MAX_SPEED_MPS:g} m/s is believed; ticks, times or the manifest's odometry are wrong"
         )
     turned = (gap[inside] != 0).sum(axis=0)
     for name, own, other in (("left", *turned), ("right", *turned[::-1])):

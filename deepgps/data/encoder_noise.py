@@ -19,7 +19,7 @@ from sim.recording.format import Recording
 from sim.sensors.encoder import check_odometry, expect_bias, expect_variance, measure_tick
 from sim.settings import EncoderSettings
 
-DISAGREEMENT = 4.0  # Standard deviations by which two wheels may differ on a straight segment
+MAX_DISAGREEMENT = 4.0  # Standard deviations by which two wheels may differ on a straight segment
 RESOLUTION_M = 0.003  # Error of the network itself; smaller encoder errors do not matter. Chosen in one room [m]
 
 
@@ -27,7 +27,7 @@ def expect_errors(recording: Recording, segments: Segments) -> Segments:
     """Return the segments with the expected errors of their distances and a robust weight for each segment.
 
     Where a wheel's encoder sticks or slips far, the two wheels of a straight segment disagree. A segment on which they
-    disagree by ``z`` standard deviations, more than ``DISAGREEMENT``, has the weight (DISAGREEMENT / z)^2.
+    disagree by ``z`` standard deviations, more than ``MAX_DISAGREEMENT``, has the weight (MAX_DISAGREEMENT / z)^2.
     """
     odometry = check_odometry(recording.manifest.odometry)
     gap = segments.distance.diff(dim=1).clamp_min(0.0) * segments.valid[:, 1:]
@@ -36,7 +36,7 @@ def expect_errors(recording: Recording, segments: Segments) -> Segments:
     variance = torch.nn.functional.pad(grown.cumsum(dim=1), (1, 0))
     tick_m = measure_tick(odometry)
     doubt = torch.from_numpy(measure_wheel_disagreement(recording, tick_m, odometry.get("slip_per_m", 0.0))).float()
-    weight = (DISAGREEMENT / doubt.clamp_min(DISAGREEMENT)).square()
+    weight = (MAX_DISAGREEMENT / doubt.clamp_min(MAX_DISAGREEMENT)).square()
     return replace(segments, variance=variance, rounding_m2=tick_m**2 / 12.0, weight=weight)
 
 
@@ -71,9 +71,9 @@ def measure_wheel_disagreement(recording: Recording, tick_m: float, slip_per_m: 
 
 
 def find_wrong(segments: Segments, error: np.ndarray) -> np.ndarray:
-    """Mask (L,) of complete segments with true errors (L,) [m] beyond ``DISAGREEMENT`` expected deviations."""
+    """Mask (L,) of complete segments with true errors (L,) [m] beyond ``MAX_DISAGREEMENT`` expected deviations."""
     _, expected = _measure_complete(segments)
-    return np.abs(error) > DISAGREEMENT * np.sqrt(expected.numpy() + RESOLUTION_M**2)
+    return np.abs(error) > MAX_DISAGREEMENT * np.sqrt(expected.numpy() + RESOLUTION_M**2)
 
 
 def _measure_complete(segments: Segments) -> tuple[torch.Tensor, torch.Tensor]:

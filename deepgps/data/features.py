@@ -30,7 +30,7 @@ from sim.errors import InputError
 CHUNK = 64  # fits a processor's cache
 PRODUCT_FLOOR = 1e-8  # Added to the product of two magnitudes, so that the phase of an empty pair is not noise
 MIN_VARIETY = 1e-6  # Smallest total difference of descriptions, relative to their size; less is the rounding of float32
-RELIT, LIGHT_WEIGHT = 1500, 0.1
+RELIT_IMAGES, LIGHT_WEIGHT = 1500, 0.1
 """Images of which a copy under other light is described, at most; weight of what light changes beside what bends."""
 
 
@@ -208,7 +208,7 @@ def _describe_changes(
     observation: np.ndarray, chosen: np.ndarray, frequencies: int, generator: torch.Generator
 ) -> torch.Tensor:
     """What another light changes in the descriptions (n, K) of some of the chosen images."""
-    some = chosen[:: -(-len(chosen) // RELIT)]
+    some = chosen[:: -(-len(chosen) // RELIT_IMAGES)]
     changes = []
     for start in range(0, len(some), CHUNK):
         images = np.ascontiguousarray(observation[some[start : start + CHUNK]])
@@ -264,11 +264,11 @@ def rank_values(image: torch.Tensor) -> torch.Tensor:
     return ranks.view(-1).index_select(0, place).view(image.shape)
 
 
-GAIN, COLOUR_GAIN = 0.4, 0.1
+GAIN_STD, COLOUR_GAIN_STD = 0.4, 0.1
 """Standard deviation of the logarithm of the light's gain, shared by the colours, and of what is each colour's own."""
 WAVES, BENDS = 4, 2
 """Highest number of periods of a gain around the circle, and of half periods from the centre to the rim."""
-DIMMER = 0.8  # Factor of all values, which leaves room for gains above 1
+DIMMING = 0.8  # Factor of all values, which leaves room for gains above 1
 GAMMA = 2.2  # Pixel values grow with about this root of the light
 
 
@@ -276,10 +276,10 @@ def relight(images: np.ndarray, generator: torch.Generator) -> np.ndarray:
     """Copies of polar images (N, rings, sectors, colours) uint8, each under another random light."""
     count, rings, sectors, colours = images.shape
     waves = _make_waves(rings, sectors)
-    shared = GAIN * torch.randn((count, 1, len(waves)), generator=generator)
-    own = COLOUR_GAIN * torch.randn((count, colours, len(waves)), generator=generator)
+    shared = GAIN_STD * torch.randn((count, 1, len(waves)), generator=generator)
+    own = COLOUR_GAIN_STD * torch.randn((count, colours, len(waves)), generator=generator)
     gain = ((shared + own) @ waves).div_(GAMMA).exp_().view(count, colours, rings, sectors).permute(0, 2, 3, 1)
-    return (torch.from_numpy(images) * gain * DIMMER).round_().clamp_(0.0, 255.0).to(torch.uint8).numpy()
+    return (torch.from_numpy(images) * gain * DIMMING).round_().clamp_(0.0, 255.0).to(torch.uint8).numpy()
 
 
 @lru_cache(maxsize=8)

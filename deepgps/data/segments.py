@@ -63,13 +63,13 @@ def fill_stretches(stretches: Sequence[Sequence[int]], size: int) -> np.ndarray:
     return mask
 
 
-MOST_FITTED = 16_000
+MAX_FITTED = 16_000
 """Most observations on which features are fitted, for which a sample is as good, and of which the initial map by
 distances alone is made, which was not tried with more. The map by compass is of all observations."""
-GOLDEN = (5.0**0.5 - 1.0) / 2.0
-HELD_OUT, LEAST_SEGMENTS = 0.04, 50
+GOLDEN_RATIO = (5.0**0.5 - 1.0) / 2.0
+HELD_OUT_SHARE, MIN_SEGMENTS = 0.04, 50
 """Share of the segments that no network learns from, since they show its errors; of few segments it learns from all."""
-SHORTEST_M = 0.001
+MIN_DISTANCE_M = 0.001
 """Shortest spacing or length that is believed [m]; coarse encoders, or those that stick, may count nothing."""
 
 
@@ -148,7 +148,7 @@ def read_segments(recording: Recording) -> Segments:
 
 def choose_held_out(count: int) -> torch.Tensor | None:
     """Mask (count,) bool of the segments held out, spread evenly over the drive; None: there are too few."""
-    return spread_evenly(count) < HELD_OUT if count >= LEAST_SEGMENTS else None
+    return spread_evenly(count) < HELD_OUT_SHARE if count >= MIN_SEGMENTS else None
 
 
 def spread_evenly(count: int) -> torch.Tensor:
@@ -156,7 +156,7 @@ def spread_evenly(count: int) -> torch.Tensor:
 
     Multiples of the golden section, modulo 1, fill it evenly.
     """
-    return torch.arange(count, dtype=torch.float64) * GOLDEN % 1.0
+    return torch.arange(count, dtype=torch.float64) * GOLDEN_RATIO % 1.0
 
 
 def find_held_out(segments: Segments, observations: int) -> torch.Tensor:
@@ -186,7 +186,7 @@ def find_runs(recording: Recording) -> list[np.ndarray]:
     return np.split(np.arange(len(number)), np.flatnonzero(np.diff(number)) + 1)
 
 
-def subsample(segments: Segments, observations: int, most: int = MOST_FITTED) -> tuple[Segments, torch.Tensor]:
+def subsample(segments: Segments, observations: int, most: int = MAX_FITTED) -> tuple[Segments, torch.Tensor]:
     """Choose complete segments spread evenly over a drive; all if there are at most ``most`` observations.
 
     Their observations are renumbered; the original numbers of these (n,) int64 are returned too.
@@ -221,7 +221,7 @@ def renumber(segments: Segments) -> tuple[Segments, torch.Tensor]:
 def measure_spacing(gap: np.ndarray) -> float:
     """Median of the gaps (n,) between consecutive readings [m], without those in which encoders count nothing."""
     moved = gap[gap > 0.0]
-    return float(np.median(moved)) if len(moved) else SHORTEST_M
+    return float(np.median(moved)) if len(moved) else MIN_DISTANCE_M
 
 
 def find_owners(segments: Segments, observations: int) -> tuple[torch.Tensor, torch.Tensor]:

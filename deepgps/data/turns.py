@@ -2,8 +2,8 @@
 
 By the compass, the two images of a turn show how far the heading changes. The wheels choose between the peaks of the
 compass and count whole turns; they never change an angle. The lean is measured over all turns of the training drive,
-and again over the last turns of a drive in use. Smaller leans than ``LEAST_RAD`` are not corrected, so that the images
-of a level camera stay as they are.
+and again over the last turns of a drive in use. Smaller leans than ``MIN_LEAN_RAD`` are not corrected, so that the
+images of a level camera stay as they are.
 
 Of images taken centimetres apart a coarse description is as good as the whole images: a few rings without colours, and
 slow waves around the circle. Error RMS: 0.2 to 0.4 degrees within 2 cm, 13 degrees for each metre beyond. The ground
@@ -51,10 +51,10 @@ def find_in_place(turns: Turns) -> np.ndarray:
     return np.flatnonzero((turns.kind == KINDS.index("in_place")) & (turns.image != NO_IMAGE))
 
 
-LEAST_RAD = np.radians(0.1)  # Leans, or differences of leans, up to this are not corrected [rad]
+MIN_LEAN_RAD = np.radians(0.1)  # Leans, or differences of leans, up to this are not corrected [rad]
 LAST_TURNS = 5  # Turns in place from which the lean in use is measured
-MOST_TURNS = 100  # Turns in place from which the lean of the training drive is measured, spread evenly over it
-ROUNDS = 5
+MAX_TURNS = 100  # Turns in place from which the lean of the training drive is measured, spread evenly over it
+MAX_ROUNDS = 5
 """Most corrections of the lean: of two images that lean by many degrees apart, one fit finds only a part of it."""
 
 
@@ -80,10 +80,10 @@ def compare_images(recording: Recording, turns: Turns | None = None, trained: Up
     turns = recorded if turns is None else turns
     before, after = take_images(recording, turns)
     some = find_in_place(turns)
-    some = some[:: -(-len(some) // MOST_TURNS) or 1]
+    some = some[:: -(-len(some) // MAX_TURNS) or 1]
     lens = make_lens(SimSettings.model_validate(recording.manifest.settings).camera)
     upright = trained or Upright(lens, (0.0, 0.0))
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ROUNDS):
         one, two = upright(before), upright(after)
         seen, hidden = find_turns(one, two, lens), float(np.linalg.norm(upright.lean))
         apparent = _find_lean(Hypotheses(*(array[some] for array in vars(seen).values())))
@@ -92,7 +92,7 @@ def compare_images(recording: Recording, turns: Turns | None = None, trained: Up
             step = _find_lean(compare_at_horizon(one[some], two[some], seen.angle[some, 0], lens, hidden))
             parallax = apparent - step
         upright = Upright(lens, _pair(upright.lean + step), _pair(parallax))
-        if np.linalg.norm(step) <= LEAST_RAD:
+        if np.linalg.norm(step) <= MIN_LEAN_RAD:
             break
     else:  # the lean has changed since
         seen = find_turns(upright(before), upright(after), lens)
@@ -108,21 +108,21 @@ def _pair(values: np.ndarray) -> tuple[float, float]:
 
 
 def ignore_small(upright: Upright) -> Upright:
-    """The same, but images of a camera that leans by ``LEAST_RAD`` or less stay as they are."""
-    return replace(upright, lean=(0.0, 0.0)) if np.linalg.norm(upright.lean) <= LEAST_RAD else upright
+    """The same, but images of a camera that leans by ``MIN_LEAN_RAD`` or less stay as they are."""
+    return replace(upright, lean=(0.0, 0.0)) if np.linalg.norm(upright.lean) <= MIN_LEAN_RAD else upright
 
 
 def adapt_upright(trained: Upright, drive: Recording) -> tuple[Upright, tuple[float, float] | None]:
     """What sets the images of a drive in use upright, whose camera may have been knocked since training.
 
-    That of training, unless the lean has changed by more than ``LEAST_RAD``; and the lean in use (2,) [rad], None where
-    the drive has fewer than ``LAST_TURNS`` turns in place.
+    That of training, unless the lean has changed by more than ``MIN_LEAN_RAD``; and the lean in use (2,) [rad], None
+    where the drive has fewer than ``LAST_TURNS`` turns in place.
     """
     turns = turns_with_images(drive)
     if turns is None or len(last := find_in_place(turns)[-LAST_TURNS:]) < LAST_TURNS:
         return trained, None
     found = compare_images(drive, from_array(turns.array[last]), trained).upright
-    changed = np.linalg.norm(np.subtract(found.lean, trained.lean)) > LEAST_RAD
+    changed = np.linalg.norm(np.subtract(found.lean, trained.lean)) > MIN_LEAN_RAD
     return (found if changed else trained), found.lean
 
 
@@ -132,14 +132,16 @@ def describe_lean(lean: tuple[float, float]) -> dict[str, float]:
     return {"lean_roll_deg": round(float(roll), 4), "lean_pitch_deg": round(float(pitch), 4)}
 
 
-WHEELS_RAD, PUSHED_RAD = 0.3, 1.5
+WHEEL_TURN_STD_RAD, PUSHED_TURN_STD_RAD = 0.3, 1.5
 """Standard deviations of a turn by the wheels, to choose between peaks: they may slip, and what the robot touched may
 have turned it by a right angle while they did not move [rad]."""
-WANDER_RAD = np.radians(0.07)  # Standard deviation of a segment's mean heading against its heading at the ends [rad]
-BACKED_OFF_M, MEETING_M = 0.05, 0.001
+WANDER_STD_RAD = np.radians(
+    0.07
+)  # Standard deviation of a segment's mean heading against its heading at the ends [rad]
+BACK_OFF_STD_M, MEETING_STD_M = 0.05, 0.001
 """Standard deviations of where a segment begins after the robot backed off, and where it turned in place [m]."""
-UNEVEN = 0.3  # Standard deviation of the distance between images, as a part of it, where readings were lost
-UNKNOWN_RAD, UNKNOWN_M = 3.0, 10.0
+SPACING_STD_SHARE = 0.3  # Standard deviation of the distance between images, as a part of it, where readings were lost
+UNKNOWN_STD_RAD, UNKNOWN_STD_M = 3.0, 10.0
 """Standard deviations of a turn and of a way of which nothing is known: the robot was carried [rad], [m]."""
 
 
@@ -169,13 +171,13 @@ def measure_turns(recording: Recording) -> CompassTurns:
     angle = np.where(known, found.angle[:, 0], wheels)
     likely = np.where(found.weight > 0.0, found.weight, 0.0)
     apart = np.nansum(likely * (found.angle - found.angle[:, :1]) ** 2, axis=1)  # where several peaks are likely
-    variance = np.where(known, found.std[:, 0] ** 2 + WANDER_RAD**2 + apart, spread**2)
+    variance = np.where(known, found.std[:, 0] ** 2 + WANDER_STD_RAD**2 + apart, spread**2)
     return replace(_join(recording, angle, variance), upright=upright)
 
 
 def trust_wheels(turns: Turns) -> np.ndarray:
     """Standard deviation of each turn (T,) by the wheels, to choose between peaks of the compass [rad]."""
-    return np.where(turns.kind == KINDS.index("in_place"), WHEELS_RAD, PUSHED_RAD)
+    return np.where(turns.kind == KINDS.index("in_place"), WHEEL_TURN_STD_RAD, PUSHED_TURN_STD_RAD)
 
 
 def _join(recording: Recording, angle: np.ndarray, variance: np.ndarray) -> CompassTurns:
@@ -185,7 +187,7 @@ def _join(recording: Recording, angle: np.ndarray, variance: np.ndarray) -> Comp
     travelled = travel(recording.reading[:, 2:], recording.manifest.odometry).mean(axis=1)
     numbers = {int(row): number for number, row in enumerate(turns.after)}
     rows, turned, squared = [], 0.0, 0.0
-    jump, jump_squared = np.zeros(2), MEETING_M**2
+    jump, jump_squared = np.zeros(2), MEETING_STD_M**2
     gap = np.diff(recording.reading[:, :2], axis=0)
     beside = (gap[:, 0] == 0) & (gap[:, 1] == 1)
     step_m = float(np.median(np.abs(np.diff(travelled)[beside]))) if beside.any() else 0.0
@@ -194,27 +196,27 @@ def _join(recording: Recording, angle: np.ndarray, variance: np.ndarray) -> Comp
         number = numbers.get(int(run[0]))
         skipped = recording.reading[run[0], 0] - recording.reading[before[-1], 0] > 1
         if begun and (number is None or skipped):
-            squared, jump_squared = squared + UNKNOWN_RAD**2, jump_squared + UNKNOWN_M**2
+            squared, jump_squared = squared + UNKNOWN_STD_RAD**2, jump_squared + UNKNOWN_STD_M**2
         if begun and number is not None:
             way_m = travelled[run[0]] - travelled[before[-1]]
             last, place, first = recording.reading[before[-1], 1], turns.before[number], recording.reading[run[0], 1]
             ahead = _direct(turned)
             if KINDS[turns.kind[number]] == "relocated":
-                squared, jump_squared = squared + UNKNOWN_RAD**2, jump_squared + UNKNOWN_M**2
+                squared, jump_squared = squared + UNKNOWN_STD_RAD**2, jump_squared + UNKNOWN_STD_M**2
             elif KINDS[turns.kind[number]] == "backed_off":
                 on_m = max(first - place - 1, 0) * step_m  # driven after it, before the first reading that arrived
                 jump = jump + (way_m - on_m) * ahead + on_m * _direct(turned + angle[number])
-                jump_squared += BACKED_OFF_M**2 + (UNEVEN * on_m) ** 2
+                jump_squared += BACK_OFF_STD_M**2 + (SPACING_STD_SHARE * on_m) ** 2
             elif first > last:  # readings at the turn were lost
                 share = (place - last) / (first - last)
                 jump = jump + way_m * (share * ahead + (1.0 - share) * _direct(turned + angle[number]))
                 if last < place < first:  # nothing was measured at the turn itself: images are evenly spaced, roughly
-                    jump_squared += (UNEVEN * way_m / (first - last)) ** 2
+                    jump_squared += (SPACING_STD_SHARE * way_m / (first - last)) ** 2
             turned, squared = turned + angle[number], squared + variance[number]
         if len(run) >= 2:
             if begun:
                 rows.append((turned, np.sqrt(squared), *jump, np.sqrt(jump_squared)))
-            begun, turned, squared, jump, jump_squared = True, 0.0, 0.0, np.zeros(2), MEETING_M**2
+            begun, turned, squared, jump, jump_squared = True, 0.0, 0.0, np.zeros(2), MEETING_STD_M**2
     table = np.array(rows).reshape(-1, 5)
     return CompassTurns(table[:, 0], table[:, 1], table[:, 2:4], table[:, 4])
 
@@ -225,11 +227,11 @@ def _direct(heading: float) -> np.ndarray:
 
 RINGS = 8
 WAVES = 24  # Highest number of cycles around the circle
-SMOOTH = 6.0  # Slow changes of light are suppressed by k / (k + SMOOTH), k in cycles around the circle
-FINER = 8  # Samples of the correlation for each cycle of the highest wave
-AMBIGUOUS = 0.9  # A second peak of the correlation above this part of the first leaves the heading open
-STEPS = 1500  # Steps between readings that measure the curvature at most
-LARGEST_RAD = 0.5  # No robot turns by more from one reading to the next of a segment [rad]
+HIGH_PASS_CYCLES = 6.0  # Slow changes of light are suppressed by k / (k + HIGH_PASS_CYCLES), k in cycles per turn
+OVERSAMPLING = 8  # Samples of the correlation for each cycle of the highest wave
+MAX_PEAK_RATIO = 0.9  # A second peak of the correlation above this part of the first leaves the heading open
+MAX_STEPS = 1500  # Steps between readings that measure the curvature at most
+MAX_STEP_RAD = 0.5  # No robot turns by more from one reading to the next of a segment [rad]
 CHUNK = 1000
 
 
@@ -263,9 +265,9 @@ def measure_curvature(images: np.ndarray, segments: Segments) -> float:
     index, distance = segments.index.numpy()[:, 1:], segments.distance.numpy()[:, 1:]
     first, second = index[:, :-1][valid], index[:, 1:][valid]
     step = (distance[:, 1:] - distance[:, :-1])[valid]
-    chosen = np.linspace(0, len(step) - 1, min(STEPS, len(step))).astype(int)
+    chosen = np.linspace(0, len(step) - 1, min(MAX_STEPS, len(step))).astype(int)
     headings = compare_headings(images, first[chosen], second[chosen])
-    used = headings.clear & (np.abs(headings.turn) < LARGEST_RAD)
+    used = headings.clear & (np.abs(headings.turn) < MAX_STEP_RAD)
     driven = float(step[chosen][used].sum())
     return float(headings.turn[used].sum()) / driven if driven > 0.0 else 0.0
 
@@ -285,10 +287,10 @@ def _describe(images: np.ndarray) -> np.ndarray:
     gather = np.where(block == np.unique(block)[:, None], np.sqrt(ring + 0.5), 0.0).astype(np.float32)
     blocks = gather @ grey
     wave = np.arange(min(WAVES, sectors // 2 - 1) + 1)
-    return (np.asarray(fft.rfft(blocks))[..., : len(wave)] * (wave / (wave + SMOOTH))).astype(np.complex64)
+    return (np.asarray(fft.rfft(blocks))[..., : len(wave)] * (wave / (wave + HIGH_PASS_CYCLES))).astype(np.complex64)
 
 
 def _compare(one: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    correlation = np.asarray(fft.irfft((one * other.conj()).sum(axis=1), FINER * 2 * WAVES))
+    correlation = np.asarray(fft.irfft((one * other.conj()).sum(axis=1), OVERSAMPLING * 2 * WAVES))
     angle, height = find_highest(correlation, 2)
-    return wrap(angle[:, 0]), height[:, 1] < AMBIGUOUS * height[:, 0]
+    return wrap(angle[:, 0]), height[:, 1] < MAX_PEAK_RATIO * height[:, 0]

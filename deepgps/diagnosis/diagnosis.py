@@ -12,18 +12,18 @@ from threadpoolctl import threadpool_limits
 from deepgps.data.checks import check_recording
 from deepgps.data.turns import turns_with_images
 from deepgps.diagnosis.gaps import Z95, Gaps, fit_slip, fit_step_noise, measure_loss, measure_stuck, read_gaps
-from deepgps.diagnosis.turning import FEWEST, Sight, measure_curvature, measure_turn_scale
+from deepgps.diagnosis.turning import MIN_EVIDENCE, Sight, measure_curvature, measure_turn_scale
 from sim.errors import InputError
 from sim.recording.format import Recording
 from sim.sensors.encoder import check_odometry
 
-LEARNED_WITH = ("step_noise", "slip_per_m", "track_m")
+LEARNED_QUANTITIES = ("step_noise", "slip_per_m", "track_m")
 """Quantities that methods take in place of what the odometry says."""
 SCALE_STD, CURVE_STD, DRIFT_STD = 3.5e-4, 3e-4, 3e-5
 """What wheels do by themselves on a floor, where nothing is wrong: error of the scale of turns, of a curvature [1/m],
 and of the ratio of the readings. Measured without faults: the first in ten rooms of six kinds, the others in three."""
-FEWEST_READINGS = 3  # Readings that a diagnosis needs at least
-MOST_APART = 1.9  # Largest difference of the wheels' distances over their mean of which a ratio is taken
+MIN_READINGS = 3  # Readings that a diagnosis needs at least
+MAX_WHEEL_DIFFERENCE = 1.9  # Largest difference of the wheels' distances over their mean of which a ratio is taken
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class Diagnosis:
 
 def can_diagnose(recording: Recording) -> bool:
     """Whether a recording has images after turns, enough readings, and readings that are the wheels' own."""
-    enough = turns_with_images(recording) is not None and len(recording.reading) >= FEWEST_READINGS
+    enough = turns_with_images(recording) is not None and len(recording.reading) >= MIN_READINGS
     return enough and not recording.manifest.wheels_computed
 
 
@@ -100,7 +100,7 @@ def diagnose(recording: Recording, sight: Sight | None = None) -> Diagnosis:
     sight = sight or Sight()
     lost = measure_loss(recording) if recording.turn_observation is not None else (0.0, 0.0, 1.0)
     odometry = dict(check_odometry(recording.manifest.odometry))
-    if len(recording.reading) < FEWEST_READINGS:
+    if len(recording.reading) < MIN_READINGS:
         raise InputError(f"{recording.folder}: {len(recording.reading)} readings are too few for a diagnosis")
     gaps = read_gaps(recording)
     slip = fit_slip(gaps)
@@ -123,7 +123,7 @@ def diagnose(recording: Recording, sight: Sight | None = None) -> Diagnosis:
         stuck_fraction=Estimate(*measure_stuck(gaps)),
         stretches=_tell_stretches(recording, gaps),
         turns=turns,
-        pairs=pairs if pairs >= FEWEST else 0,
+        pairs=pairs if pairs >= MIN_EVIDENCE else 0,
         odometry={name: float(odometry[name]) for name in ("wheel_radius_m", "track_m", "ticks_per_rev")},
     )
 
@@ -133,7 +133,7 @@ def apply_diagnosis(recording: Recording, diagnosis: Diagnosis) -> Recording:
 
     A track width that may be the one assumed stays: where turns by the wheels are noisy, it is known better.
     """
-    learned = {name: diagnosis.quantities[name] for name in LEARNED_WITH}
+    learned = {name: diagnosis.quantities[name] for name in LEARNED_QUANTITIES}
     known = {name: estimate.value for name, estimate in learned.items() if estimate.known}
     if diagnosis.track_m.low <= diagnosis.odometry["track_m"] <= diagnosis.track_m.high:
         known.pop("track_m", None)
@@ -147,7 +147,7 @@ def _symmetric(value: float, std: float) -> Estimate:
 
 def _ratio(apart: float, std: float) -> Estimate:
     """Right over left from their difference over their mean, which is 2 or -2 where one wheel never counts."""
-    apart = min(max(apart, -MOST_APART), MOST_APART)
+    apart = min(max(apart, -MAX_WHEEL_DIFFERENCE), MAX_WHEEL_DIFFERENCE)
     return _symmetric((1.0 + apart / 2.0) / (1.0 - apart / 2.0), std)
 
 

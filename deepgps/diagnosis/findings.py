@@ -9,15 +9,15 @@ import numpy as np
 
 from deepgps.diagnosis.diagnosis import Diagnosis, Estimate
 
-SURE = 1.7
+CERTAINTY_HALF_WIDTHS = 1.7
 """Half widths of a 95 % interval that a value must be away from what is right: 3.3 standard deviations, since eight
 quantities are looked at in every recording."""
-RATIO, TRACK, SLIP, STEP, TICK_M, LOST = 0.002, 0.003, 0.002, 0.005, 0.002, 0.005
+RATIO, TRACK, SLIP, STEP, TICK_M, LOST_SHARE = 0.002, 0.003, 0.002, 0.005, 0.002, 0.005
 """Smallest faults that are reported, as parts, or in metres; smaller ones do not matter for a map."""
 SPACING_M = 0.08  # Distance between two readings for which the noise of a gap is compared with other noise [m]
 
 
-UNKNOWN = (
+UNKNOWN_SCALE_NOTE = (
     "What cannot be known: a factor that all distances share. If both wheels are wrong alike, every distance is, and "
     "no sensor of this robot knows a metre; drive along a tape measure to find out."
 )
@@ -55,7 +55,7 @@ def list_smallest(diagnosis: Diagnosis) -> dict[str, float]:
         "slip": max(SLIP, 0.3 * tick),
         "step_noise": max(STEP, 0.4 * slip / np.sqrt(2.0 * SPACING_M), 0.2 * tick / SPACING_M),
         "ticks": TICK_M,
-        "dropout": LOST,
+        "dropout": LOST_SHARE,
         "stuck": 0.01,
     }
 
@@ -107,7 +107,7 @@ def as_stored(diagnosis: Diagnosis) -> dict[str, Any]:
             "track_m": odometry["track_m"] * fix.track,
         },
         "smallest": list_smallest(diagnosis),
-        "unknown": UNKNOWN,
+        "unknown": UNKNOWN_SCALE_NOTE,
     }
 
 
@@ -117,12 +117,12 @@ def _mean(ratio: float, side: str | None) -> float:
 
 
 def _reach(estimate: Estimate) -> float:
-    return SURE * (estimate.high - estimate.low) / 2.0
+    return CERTAINTY_HALF_WIDTHS * (estimate.high - estimate.low) / 2.0
 
 
 def _certain(estimate: Estimate, least: float) -> bool:
     """Whether a strength, which is never negative, is certain and matters."""
-    return estimate.value > max(least, SURE * (estimate.value - estimate.low))
+    return estimate.value > max(least, CERTAINTY_HALF_WIDTHS * (estimate.value - estimate.low))
 
 
 def _percent(estimate: Estimate) -> str:

@@ -12,9 +12,9 @@ from sim.recording.format import Recording
 from sim.recording.turns import KINDS
 from sim.sensors.encoder import measure_tick
 
-STUCK_TICKS, STUCK_M = 6, 0.3
+STALL_TICKS, STALL_M = 6, 0.3
 """A wheel is stuck where it counts nothing while the other one counts this many ticks and travels this far [m]."""
-LEAST_TICKS = 2  # A gap with fewer ticks of the moving wheel may show none of the other one by rounding alone
+MIN_TICKS = 2  # A gap with fewer ticks of the moving wheel may show none of the other one by rounding alone
 Z95 = 1.96
 
 
@@ -73,8 +73,8 @@ def find_stuck(way: np.ndarray, inside: np.ndarray, wheel: int, tick_m: float) -
     found = []
     for first, last in find_stretches(way[:, wheel] == 0.0).tolist():
         moved = other[first : last + 1]
-        if moved.sum() >= max(STUCK_TICKS * tick_m, STUCK_M):
-            clear = np.flatnonzero(moved >= LEAST_TICKS * tick_m)
+        if moved.sum() >= max(STALL_TICKS * tick_m, STALL_M):
+            clear = np.flatnonzero(moved >= MIN_TICKS * tick_m)
             inner = int(clear[-1] - clear[0]) + 1 if len(clear) else 0
             found.append(Stretch(wheel, first, last, last + 1 - first - inner))
     return found
@@ -132,14 +132,14 @@ def mend_stuck(recording: Recording) -> Recording:
 
 
 FLOOR_M = 1e-5  # Error of a reading of the best encoder [m]: it keeps the likelihood finite where nothing is noisy
-CREEP = 3e-5  # Slip after a metre [m], and noise of a gap, of wheels without faults: they creep on the floor
+CREEP_PER_M = 3e-5  # Slip after a metre [m], and noise of a gap, of wheels without faults: they creep on the floor
 ROUNDINGS = (0.03, 0.1, 0.3, 0.6, 1.0, 1.5, 2.0)
 """Variances of rounding that are tried, as multiples of that of independent wheels: both may round alike."""
-FINE_M = 2e-4  # Ticks so short that their rounding need not be known well [m]
-BEYOND = 0.02  # Share of the runs that may leave what rounding alone can give: somebody touched the robot
+FINE_TICK_M = 2e-4  # Ticks so short that their rounding need not be known well [m]
+MAX_OUTSIDE_SHARE = 0.02  # Share of the runs that may leave what rounding alone can give: somebody touched the robot
 CHI2_95 = 3.841
-FARTHEST = 4.0  # Standard deviations beyond which an innovation counts no more: a contact, or a wheel that was lifted
-SPEEDING, BRAKING = 1, 2  # Gaps at the beginning and the end of a segment in which the robot changes its speed
+GATE = 4.0  # Standard deviations beyond which an innovation counts no more: a contact, or a wheel that was lifted
+START_GAPS, END_GAPS = 1, 2  # Gaps at the beginning and the end of a segment in which the robot changes its speed
 
 
 @dataclass(frozen=True)
@@ -180,7 +180,7 @@ def fit_step_noise(gaps: Gaps, slip_per_m: float) -> Fit:
     The noise adds (w g)^2 / k to the mean over k original gaps of the length ``g`` in all, slip s^2 g / 2, rounding
     t^2 / 24 to each reading. The drift is the speed [m/s].
     """
-    mean, inner = gaps.way.mean(axis=1), _list_runs(gaps, SPEEDING, BRAKING)
+    mean, inner = gaps.way.mean(axis=1), _list_runs(gaps, START_GAPS, END_GAPS)
     used = np.concatenate([np.arange(first, end) for first, end in inner]) if inner else np.arange(0)
     speed = float(np.median(mean[used] / gaps.seconds[used])) if len(used) else 0.0
     g = np.abs(speed) * gaps.seconds
@@ -220,10 +220,10 @@ def _fit(runs: Runs, grow: Callable[[float], np.ndarray], rounding_m2: float, wi
     """
     if runs.valid.sum() - len(runs.valid) < 10:
         return Fit(0.0, 0.0, 1.0, 0.0, 1.0)
-    shares = ROUNDINGS if rounding_m2 > FINE_M**2 / 24.0 else (1.0,)
+    shares = ROUNDINGS if rounding_m2 > FINE_TICK_M**2 / 24.0 else (1.0,)
 
     def try_all(value: float) -> tuple[float, float, float]:
-        growth = grow(float(np.hypot(value, CREEP)))
+        growth = grow(float(np.hypot(value, CREEP_PER_M)))
         return min(_filter(runs, growth, share * rounding_m2 + FLOOR_M**2) for share in shares)
 
     def cost(value: float) -> float:
@@ -260,7 +260,7 @@ def _is_within(runs: Runs, drift: float, width_m: float) -> bool:
     """Whether nearly all runs stay within a width of their drift [m]."""
     off = runs.level - drift * runs.drift
     apart = np.where(runs.valid, off, -np.inf).max(axis=1) - np.where(runs.valid, off, np.inf).min(axis=1)
-    return float((apart > width_m).mean()) <= BEYOND
+    return float((apart > width_m).mean()) <= MAX_OUTSIDE_SHARE
 
 
 def _filter(runs: Runs, growth: np.ndarray, noise: float) -> tuple[float, float, float]:
@@ -285,9 +285,9 @@ def _filter(runs: Runs, growth: np.ndarray, noise: float) -> tuple[float, float,
     slope = 0.0
     for _ in range(4):
         slope = float((weight * along * off / total).sum() / max((weight * along**2 / total).sum(), 1e-300))
-        weight = ((off - slope * along) ** 2 < FARTHEST**2 * total).astype(float)
+        weight = ((off - slope * along) ** 2 < GATE**2 * total).astype(float)
         if not weight.any():
             weight[:] = 1.0
-    missed = np.minimum((off - slope * along) ** 2 / total, FARTHEST**2)
+    missed = np.minimum((off - slope * along) ** 2 / total, GATE**2)
     std = 1.0 / np.sqrt(max((weight * along**2 / total).sum(), 1e-300))
     return float((np.log(total) + missed).sum()), slope, float(std)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from deepgps.diagnosis.diagnosis import (
-    LEARNED_WITH,
+    LEARNED_QUANTITIES,
     Diagnosis,
     Estimate,
     StuckStretch,
@@ -50,7 +50,7 @@ def take_diagnosed(recording: Recording, folder: Path) -> tuple[Recording, dict[
     if diagnosis is None:
         return recording, {"diagnosed": None}
     mended = apply_diagnosis(mend_stuck(recording), diagnosis)
-    return mended, {"diagnosed": {name: mended.manifest.odometry.get(name) for name in LEARNED_WITH}}
+    return mended, {"diagnosed": {name: mended.manifest.odometry.get(name) for name in LEARNED_QUANTITIES}}
 
 
 def write_diagnosis(path: Path, diagnosis: Diagnosis, recording: Recording) -> None:

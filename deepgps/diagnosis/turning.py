@@ -17,19 +17,19 @@ from sim.sensors.camera.lens import Lens, make_lens
 from sim.sensors.compass import Hypotheses, disambiguate, find_turns
 from sim.settings import SimSettings
 
-PAIRS = 300  # Pairs of images of one place, taken on different segments, that are compared
-NEAREST, FARTHEST = 25, 400
+MAX_PAIRS = 300  # Pairs of images of one place, taken on different segments, that are compared
+MIN_SEPARATION, MAX_SEPARATION = 25, 400
 """Observations that lie between the two images of a pair: enough for a curve to show, few enough to know the turns."""
-LOOKS = 3000  # Observations among which alike ones are sought
+MAX_LOOKS = 3000  # Observations among which alike ones are sought
 FREQUENCIES = 6  # Lowest frequencies around the circle in the description of an image
-HUBER = 2.5  # Standard deviations beyond which a residual counts as one of this size
+HUBER_SCALE = 2.5  # Standard deviations beyond which a residual counts as one of this size
 MEDIAN_TO_STD = 1.4826  # Standard deviation of a normal distribution over the median of its absolute values
-TURN_RAD = np.radians(0.05)  # Error of a turn by the camera, beside the one that its images tell [rad]
-PLACE_RAD = np.radians(0.5)
+TURN_STD_RAD = np.radians(0.05)  # Error of a turn by the camera, beside the one that its images tell [rad]
+PLACE_STD_RAD = np.radians(0.5)
 """Error of the angle between two images of about one place, beside the one that they tell [rad]."""
-CURVES = np.linspace(-1.0, 1.0, 4001)  # Curvatures among which the one of the segments is sought [rad/m]
-UNKNOWN = 1.0  # Standard deviation of what was not measured
-FEWEST = 8  # Turns or pairs below which nothing is concluded
+CURVATURES = np.linspace(-1.0, 1.0, 4001)  # Curvatures among which the one of the segments is sought [rad/m]
+UNKNOWN_STD = 1.0  # Standard deviation of what was not measured
+MIN_EVIDENCE = 8  # Turns or pairs below which nothing is concluded
 
 
 @dataclass
@@ -73,18 +73,18 @@ def find_alike(images: np.ndarray) -> np.ndarray:
 
     An image is described by the amplitudes of the lowest frequencies around each ring, which no turn changes.
     """
-    looked = np.unique(np.linspace(0, len(images) - 1, min(len(images), LOOKS)).astype(int))
+    looked = np.unique(np.linspace(0, len(images) - 1, min(len(images), MAX_LOOKS)).astype(int))
     described = np.stack([_describe(images[one]) for one in looked])
     square = (described**2).sum(axis=1)
     found: dict[tuple[int, int], float] = {}
     for row, one in enumerate(looked.tolist()):
         gap = looked - one  # only later ones: each pair is compared once
-        fitting = np.flatnonzero((gap >= NEAREST) & (gap <= FARTHEST))
+        fitting = np.flatnonzero((gap >= MIN_SEPARATION) & (gap <= MAX_SEPARATION))
         if len(fitting):
             apart = square[fitting] - 2.0 * described[fitting] @ described[row]
             best = int(apart.argmin())
             found[one, int(looked[fitting[best]])] = float(apart[best] + square[row])
-    best_first = sorted(found, key=found.__getitem__)[:PAIRS]
+    best_first = sorted(found, key=found.__getitem__)[:MAX_PAIRS]
     return np.array(best_first, int).reshape(-1, 2)
 
 
@@ -110,7 +110,7 @@ def _join(rows: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> Hypotheses:
 
 @dataclass(frozen=True)
 class Slope:
-    """A ratio by weighted least squares and its standard deviation; ``UNKNOWN`` where there is too little."""
+    """A ratio by weighted least squares and its standard deviation; ``UNKNOWN_STD`` where there is too little."""
 
     value: float
     std: float
@@ -127,7 +127,7 @@ def fit_slope(x: np.ndarray, y: np.ndarray, std: np.ndarray) -> Slope:
     for _ in range(20):
         z = np.abs(y - slope * x) / std
         scale = max(1.0, MEDIAN_TO_STD * float(np.median(z)))
-        robust = np.minimum(1.0, HUBER * scale / np.maximum(z, 1e-12))
+        robust = np.minimum(1.0, HUBER_SCALE * scale / np.maximum(z, 1e-12))
         slope = float((robust * weight * x * y).sum() / max((robust * weight * x**2).sum(), 1e-300))
     return Slope(slope, scale / float(np.sqrt(max((robust * weight * x**2).sum(), 1e-300))))
 
@@ -147,19 +147,19 @@ def measure_turn_scale(
     wheels = (gaps.way[gap, 1] - gaps.way[gap, 0]) / track_m
     clean = (turns.kind == KINDS.index("in_place")) & (turns.image >= 0) & gaps.good[gap]
     clean &= (reading[gap, 1] == turns.before) & (reading[turns.after, 1] == turns.before)
-    slope = Slope(1.0, UNKNOWN)
+    slope = Slope(1.0, UNKNOWN_STD)
     for _ in range(3):  # the choice of peaks needs the scale
         found = disambiguate(seen, wheels / slope.value, trust_wheels(turns))
         angle, std = found.angle[:, 0], found.std[:, 0]
         used = clean & np.isfinite(angle) & (np.abs(angle) > 0.1)
-        if used.sum() < FEWEST:
-            return Slope(1.0, UNKNOWN), int(used.sum())
+        if used.sum() < MIN_EVIDENCE:
+            return Slope(1.0, UNKNOWN_STD), int(used.sum())
         x, y = angle[used], wheels[used]
-        variance = std[used] ** 2 + TURN_RAD**2 + (step_noise * x) ** 2
+        variance = std[used] ** 2 + TURN_STD_RAD**2 + (step_noise * x) ** 2
         variance += slip_per_m**2 * np.abs(x) / track_m + gaps.tick_m**2 / (3.0 * track_m**2)
         slope = fit_slope(x, y, np.sqrt(variance))
         if not 0.3 < slope.value < 3.0:
-            return Slope(1.0, UNKNOWN), int(used.sum())
+            return Slope(1.0, UNKNOWN_STD), int(used.sum())
     return slope, int(used.sum())
 
 
@@ -178,7 +178,7 @@ def measure_curvature(recording: Recording, gaps: Gaps, sight: Sight, scale: flo
     broken[1:] = ~gaps.good | ~gaps.inside  # a turn that no image shows; those that one shows follow
     known = np.isfinite(found.angle[:, 0]) & (turns.kind != KINDS.index("relocated"))
     rows = turns.after[known]
-    step[rows], square[rows] = found.angle[known, 0], found.std[known, 0] ** 2 + TURN_RAD**2
+    step[rows], square[rows] = found.angle[known, 0], found.std[known, 0] ** 2 + TURN_STD_RAD**2
     broken[rows] = ~gaps.good[rows - 1]
     turned, variance, chain = np.cumsum(step), np.cumsum(square), np.cumsum(broken)
     straight = gaps.inside.copy()
@@ -189,17 +189,17 @@ def measure_curvature(recording: Recording, gaps: Gaps, sight: Sight, scale: flo
     pairs, angles = see_pairs(recording, sight)
     one, two = row[pairs[:, 0]], row[pairs[:, 1]]
     used = (one >= 0) & (two >= 0) & (chain[one] == chain[two]) & np.isfinite(angles.angle[:, 0])
-    if used.sum() < FEWEST:
-        return Slope(0.0, UNKNOWN), int(used.sum())
+    if used.sum() < MIN_EVIDENCE:
+        return Slope(0.0, UNKNOWN_STD), int(used.sum())
     one, two, angle = one[used], two[used], angles.angle[used, 0]
-    std = np.sqrt(angles.std[used, 0] ** 2 + PLACE_RAD**2 + np.abs(variance[two] - variance[one]))
+    std = np.sqrt(angles.std[used, 0] ** 2 + PLACE_STD_RAD**2 + np.abs(variance[two] - variance[one]))
     missed, apart = angle - (turned[two] - turned[one]), way[two] - way[one]
-    z = wrap(missed - CURVES[:, None] * apart) / std
-    best = float(CURVES[(1.0 / (1.0 + z**2 / 4.0)).sum(axis=1).argmax()])
+    z = wrap(missed - CURVATURES[:, None] * apart) / std
+    best = float(CURVATURES[(1.0 / (1.0 + z**2 / 4.0)).sum(axis=1).argmax()])
     left = wrap(missed - best * apart)
     near = np.abs(left) < 8.0 * std
-    if near.sum() < FEWEST:
-        return Slope(0.0, UNKNOWN), int(near.sum())
+    if near.sum() < MIN_EVIDENCE:
+        return Slope(0.0, UNKNOWN_STD), int(near.sum())
     slope = fit_slope(apart[near], left[near], std[near])
     both = reading[one[near], 0] * (int(reading[-1, 0]) + 1) + reading[two[near], 0]
     shared = _spread(apart[near], left[near] - slope.value * apart[near], std[near], both)
@@ -212,5 +212,5 @@ def _spread(x: np.ndarray, left: np.ndarray, std: np.ndarray, group: np.ndarray)
     Pairs on the same two segments show the same things, and err alike (Liang and Zeger, Biometrika 73(1), 1986).
     """
     _, number = np.unique(group, return_inverse=True)
-    sums = np.bincount(number, x * np.clip(left, -HUBER * std, HUBER * std) / std**2)
+    sums = np.bincount(number, x * np.clip(left, -HUBER_SCALE * std, HUBER_SCALE * std) / std**2)
     return float(np.sqrt((sums**2).sum()) / (x**2 / std**2).sum())

@@ -10,9 +10,9 @@ from sim.errors import DamagedError, InputError
 from sim.files.checksums import damaged, read_arrays, write_arrays
 from sim.geometry import wrap
 
-OPTIONAL = ("yaw", "yaw_std", "yaw_weight", "expected", "novelty", "radius", "radius_95", "accepted")
+OPTIONAL_ARRAYS = ("yaw", "yaw_std", "yaw_weight", "expected", "novelty", "radius", "radius_95", "accepted")
 """Arrays that some methods have, in the file as ``<array>/<method>``."""
-MEASURE_AGAIN = "deepgps run with the same scenario and --out measures the methods again"
+REPAIR_HINT = "deepgps run with the same scenario and --out measures the methods again"
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class ErrorField:
     def take(self, chosen: slice) -> "ErrorField":
         """The field at some of its positions."""
         heading = self.heading if self.heading.ndim == 1 else self.heading[chosen]
-        parts = {name: part[chosen] for name in OPTIONAL if (part := getattr(self, name)) is not None}
+        parts = {name: part[chosen] for name in OPTIONAL_ARRAYS if (part := getattr(self, name)) is not None}
         return replace(self, truth=self.truth[chosen], heading=heading, predicted=self.predicted[chosen], **parts)
 
 
@@ -75,7 +75,7 @@ def write_fields(path: Path, fields: Mapping[str, ErrorField]) -> None:
     some = next(iter(fields.values()))
     arrays = {method: field.predicted for method, field in fields.items()}
     for method, field in fields.items():
-        for part in OPTIONAL:
+        for part in OPTIONAL_ARRAYS:
             if (array := getattr(field, part)) is not None:
                 arrays[f"{part}/{method}"] = array
     write_arrays(path, {"truth": some.truth, "heading": some.heading, **arrays})
@@ -110,13 +110,15 @@ def read_all_headings(run: Path) -> dict[str, ErrorField]:
     try:
         data = read_arrays(path)
     except DamagedError as error:
-        raise DamagedError(f"{error}; {MEASURE_AGAIN}") from None
+        raise DamagedError(f"{error}; {REPAIR_HINT}") from None
     missing = {"truth", "heading"} - set(data)
     if missing:
         raise damaged(path, f"it has no {' and no '.join(sorted(missing))}")
     methods = (name for name in data if name not in {"truth", "heading"} and "/" not in name)
     fields = {
-        name: ErrorField(data["truth"], data["heading"], data[name], *(data.get(f"{part}/{name}") for part in OPTIONAL))
+        name: ErrorField(
+            data["truth"], data["heading"], data[name], *(data.get(f"{part}/{name}") for part in OPTIONAL_ARRAYS)
+        )
         for name in methods
     }
     return fields

@@ -54,7 +54,7 @@ from sim.recording.format import (
     open_truth,
 )
 
-FAR_M = 0.5  # Distance from the truth beyond which a training image counts as misplaced [m]
+MISPLACED_M = 0.5  # Distance from the truth beyond which a training image counts as misplaced [m]
 
 
 class Predictions(NamedTuple):
@@ -175,8 +175,8 @@ def measure_field(maps: Predictions, method: str, truth: Truth | Labels) -> tupl
 
 
 def measure_misplaced(places: np.ndarray, truth: Truth) -> float:
-    """Share of the training images whose aligned positions (N, 2) [m] are more than ``FAR_M`` from the truth."""
-    return float((np.linalg.norm(places - truth.pose[:, :2], axis=1) > FAR_M).mean())
+    """Share of the training images whose aligned positions (N, 2) [m] are more than ``MISPLACED_M`` from the truth."""
+    return float((np.linalg.norm(places - truth.pose[:, :2], axis=1) > MISPLACED_M).mean())
 
 
 def _summarise(field: ErrorField, shorter_side_m: float) -> dict[str, Any]:

@@ -21,8 +21,8 @@ from sim.recording.format import Recording, Truth
 from sim.recording.turns import Turns, from_array
 from sim.settings import CameraMountSettings
 
-UNDECIDED = 0.05  # A map is undecided if more than this share of the observations may lie elsewhere
-NEAREST = 8  # Training observations between which the expected error is interpolated
+MAX_UNDECIDED_SHARE = 0.05  # A map is undecided if more than this share of the observations may lie elsewhere
+NEIGHBOURS = 8  # Training observations between which the expected error is interpolated
 ROUNDING_M = 1e-6
 
 
@@ -51,7 +51,7 @@ def place_map(stored: StoredMap, place: np.ndarray) -> PlacedMap:
 
 def is_undecided(training: Mapping[str, Any]) -> bool:
     """Whether a map is undecided, by its entry in ``training.json``."""
-    return training["undecided"] > UNDECIDED
+    return training["undecided"] > MAX_UNDECIDED_SHARE
 
 
 def judge_map(placed: PlacedMap) -> dict[str, float]:
@@ -84,7 +84,7 @@ def measure_nees(covariance: np.ndarray, samples: int, error: np.ndarray) -> flo
 
 def add_expected(field: ErrorField, placed: PlacedMap) -> ErrorField:
     """The error field with the RMS error that the map, with which the method began, expects at each test position."""
-    away, nearest = KDTree(placed.position).query(field.truth, min(NEAREST, len(placed.position)))
+    away, nearest = KDTree(placed.position).query(field.truth, min(NEIGHBOURS, len(placed.position)))
     weight = 1.0 / np.maximum(away, ROUNDING_M) ** 2
     variance = (weight * placed.expected[nearest] ** 2).sum(axis=1) / weight.sum(axis=1)
     return replace(field, expected=np.sqrt(variance))
@@ -103,10 +103,10 @@ def find_true_camera(recording: Recording, truth: Truth) -> np.ndarray:
     return truth.pose[:, :2] + mount.ahead_m * ahead + mount.left_m * ahead[:, ::-1] * [-1.0, 1.0]
 
 
-AGREE_RAD = 0.35  # A turn of the map agrees with the compass within this angle [rad]
-SHORTEST_M = 0.3  # Shorter segments have no direction that counts [m]
-NEAR_M = 0.15  # Segments that come so near to each other on the map belong to one part [m]
-FEWEST = 3  # Segments that a part has at least
+AGREEMENT_RAD = 0.35  # A turn of the map agrees with the compass within this angle [rad]
+MIN_SEGMENT_M = 0.3  # Shorter segments have no direction that counts [m]
+PART_GAP_M = 0.15  # Segments that come so near to each other on the map belong to one part [m]
+MIN_SEGMENTS = 3  # Segments that a part has at least
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ def find_turned_parts(positions: np.ndarray, recording: Recording) -> TurnedPart
     ends = np.array([positions[seen[-1]] - positions[seen[0]] for seen in index])
     length = np.linalg.norm(ends, axis=1)
     before, angle = _measure(recording, turns, runs)
-    usable = (length[before] > SHORTEST_M) & (length[before + 1] > SHORTEST_M)
+    usable = (length[before] > MIN_SEGMENT_M) & (length[before + 1] > MIN_SEGMENT_M)
     before, angle = before[usable], angle[usable]
     heading = np.arctan2(ends[:, 1], ends[:, 0])
     turned = heading[before + 1] - heading[before]
@@ -137,7 +137,7 @@ def find_turned_parts(positions: np.ndarray, recording: Recording) -> TurnedPart
         np.add.at(votes, before + side, 1)
         np.add.at(against, before + side, ~right)
     wrong = np.flatnonzero((votes > 0) & (against == votes))
-    parts = [part for part in _group(wrong, index, positions) if len(part) >= FEWEST]
+    parts = [part for part in _group(wrong, index, positions) if len(part) >= MIN_SEGMENTS]
     share = length[np.concatenate([np.empty(0, int), *parts])].sum() / max(length.sum(), 1e-9)
     seen = [np.unique(np.concatenate([index[segment] for segment in part])) for part in parts]
     return TurnedParts(float(share), sorted(seen, key=len, reverse=True), len(before))
@@ -170,7 +170,7 @@ def _measure(recording: Recording, turns: Turns, runs: list[np.ndarray]) -> tupl
 
 
 def _agree(turned: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    return np.abs(wrap(turned - angle)) < AGREE_RAD
+    return np.abs(wrap(turned - angle)) < AGREEMENT_RAD
 
 
 def _group(wrong: np.ndarray, index: list[np.ndarray], positions: np.ndarray) -> list[np.ndarray]:
@@ -179,7 +179,7 @@ def _group(wrong: np.ndarray, index: list[np.ndarray], positions: np.ndarray) ->
         return []
     owner = np.repeat(np.arange(len(wrong)), [len(index[segment]) for segment in wrong])
     near = KDTree(positions[np.concatenate([index[segment] for segment in wrong])]).query_pairs(
-        NEAR_M, output_type="ndarray"
+        PART_GAP_M, output_type="ndarray"
     )
     follows = np.flatnonzero(np.diff(wrong) == 1)
     one, other = np.append(owner[near[:, 0]], follows), np.append(owner[near[:, 1]], follows + 1)

@@ -18,7 +18,7 @@ from deepgps.positioner.pose import Poses
 from sim.alignment import Alignment
 from sim.geometry import FreeSpace
 
-SEEN_WITHIN_M = 0.25
+SEEN_RADIUS_M = 0.25
 OFF_CENTRE = 0.25
 """Distance from the middle of the room, as a fraction of half its extent, from which a part has a direction."""
 
@@ -36,8 +36,8 @@ def measure_coverage(cells: np.ndarray, samples: np.ndarray) -> dict[str, Any]:
 
 
 def find_seen(places: np.ndarray, samples: np.ndarray) -> np.ndarray:
-    """Whether places (C, 2) [m] have a training sample (N, 2) [m] within ``SEEN_WITHIN_M``: (C,)."""
-    return KDTree(samples).query(places)[0] <= SEEN_WITHIN_M
+    """Whether places (C, 2) [m] have a training sample (N, 2) [m] within ``SEEN_RADIUS_M``: (C,)."""
+    return KDTree(samples).query(places)[0] <= SEEN_RADIUS_M
 
 
 def name_part(cells: np.ndarray, chosen: np.ndarray) -> str | None:
@@ -164,10 +164,11 @@ def summarise_yaw(field: ErrorField) -> dict[str, float]:
 
 PARTS = {"novelty": "novelty", "radius": "radius_68", "radius_95": "radius_95", "accepted": "accepted"}
 """Arrays of an error field, and where poses have them."""
-LARGE_M = 0.1
-LEAST = 20
-"""Errors above ``LARGE_M`` should be refused; with fewer images than this above or below it, no AUROC is given."""
-REFUSED = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1)  # Shares of images refused in the table of the risk-coverage curve
+LARGE_ERROR_M = 0.1
+MIN_IMAGES = 20
+"""Errors above ``LARGE_ERROR_M`` should be refused; with fewer images than this above or below it, no AUROC is
+given."""
+REFUSED_SHARES = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1)  # Shares of images refused in the table of the risk-coverage curve
 
 
 def make_field(poses: Poses, true: np.ndarray, alignment: Alignment, with_yaw: bool = True) -> ErrorField:
@@ -240,13 +241,13 @@ def _judge_novelty(field: ErrorField) -> dict[str, Any]:
         return {}
     risk, best = find_risk(field.error, field.novelty), find_risk(field.error, field.error)
     largest = np.maximum.accumulate(sort_by(field.novelty, field.error))
-    kept = [len(risk) - round(share * len(risk)) - 1 for share in REFUSED]
+    kept = [len(risk) - round(share * len(risk)) - 1 for share in REFUSED_SHARES]
     return {
         "auroc_10cm": measure_auroc(field.error, field.novelty),
         "aurc_m": float(risk.mean()),
         "best_aurc_m": float(best.mean()),
         "risk_coverage": {
-            "refused": list(REFUSED),
+            "refused": list(REFUSED_SHARES),
             "rms_m": _pick(risk, kept),
             "max_m": _pick(largest, kept),
             "best_rms_m": _pick(best, kept),
@@ -274,13 +275,14 @@ def sort_by(score: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def measure_auroc(error: np.ndarray, score: np.ndarray) -> float | None:
-    """Probability that an error above ``LARGE_M`` has a higher score than one below it; None with too few of either.
+    """Probability that an error above ``LARGE_ERROR_M`` has a higher score than one below it; None with too few of
+    either.
 
     It is the statistic of Mann and Whitney (Ann. Math. Stat. 18, 1947) over the number of pairs.
     """
-    large = error.ravel() > LARGE_M
+    large = error.ravel() > LARGE_ERROR_M
     above, below = int(large.sum()), int((~large).sum())
-    if min(above, below) < LEAST:
+    if min(above, below) < MIN_IMAGES:
         return None
     rank = rankdata(np.where(np.isnan(score), np.inf, score).ravel())
     return float((rank[large].sum() - above * (above + 1) / 2) / (above * below))

@@ -11,7 +11,7 @@ from sim.alignment import fit_alignment
 from sim.recording.format import Recording, Truth, measure_driven
 from sim.settings import EncoderSettings
 
-HEADED_BY_M = 3.0  # Way of the true path by which a dead-reckoned one is rotated [m]
+HEADING_DISTANCE_M = 3.0  # Way of the true path by which a dead-reckoned one is rotated [m]
 
 
 def judge_encoders(recording: Recording, truth: Truth) -> dict[str, Any]:
@@ -69,7 +69,7 @@ def reckon_path(recording: Recording, pose: np.ndarray) -> np.ndarray:
     """
     path, true = dead_reckon(recording)[:, :2], pose[recording.reading[:, 1], :2]
     driven = np.cumsum(np.linalg.norm(np.diff(true, axis=0), axis=1))
-    first = 2 + int((driven < HEADED_BY_M).sum())
+    first = 2 + int((driven < HEADING_DISTANCE_M).sum())
     turn = fit_alignment(path[:first], true[:first], "SE2").rotation
     return (path - path[0]) @ turn.T + true[0]
 

@@ -187,7 +187,7 @@ def _find_motions(pose: np.ndarray, apart: int) -> tuple[np.ndarray, np.ndarray]
     return (rotate(-pose[:-apart, 2]) @ away[:, :2, None])[..., 0], away[:, 2]
 
 
-APART = 10  # Images between the two poses of a relative error
+POSE_SEPARATION = 10  # Images between the two poses of a relative error
 
 
 def measure_track(track: Track, alignment: Alignment, true: np.ndarray) -> dict[str, dict[str, float]]:
@@ -229,7 +229,7 @@ def _measure(found: np.ndarray, true: np.ndarray, accepted: np.ndarray) -> dict[
     directed = np.isfinite(found[:, 2])
     if directed.any():
         figures["yaw_rms_deg"] = float(np.degrees(find_rms(wrap(found[:, 2] - true[:, 2])[directed])))
-    place_m, turn_rad = measure_rpe(found, true, APART) if len(found) > APART else (np.nan, np.nan)
+    place_m, turn_rad = measure_rpe(found, true, POSE_SEPARATION) if len(found) > POSE_SEPARATION else (np.nan, np.nan)
     if np.isfinite(place_m):
         figures["rpe_m"], figures["rpe_deg"] = place_m, float(np.degrees(turn_rad))
     return figures

@@ -33,7 +33,7 @@ from sim.geometry import wrap
 from sim.recording.format import Recording, open_recording
 from sim.recording.turns import from_array
 
-FEWEST = 3  # Fewest images of a segment that can be off a straight line
+MIN_IMAGES = 3  # Fewest images of a segment that can be off a straight line
 
 
 def judge(run: Path, scenario: Scenario, progress: Report = ignore) -> dict[str, Any]:
@@ -120,7 +120,7 @@ def judge_segments(place: np.ndarray, recording: Recording, accepted: np.ndarray
     both = np.ones(len(last), bool) if accepted is None else accepted[reading[first, 1]] & accepted[reading[last, 1]]
     kept = {} if accepted is None or not both.any() else {"length_rms_accepted_m": find_rms((found - wheels)[both])}
     runs = [place[reading[one : other + 1, 1]] for one, other in zip(first, last, strict=True)]
-    off = [_measure_bend(run) for run in runs if len(run) >= FEWEST]
+    off = [_measure_bend(run) for run in runs if len(run) >= MIN_IMAGES]
     return {
         "length_rms_m": find_rms(found - wheels),
         **kept,

@@ -126,20 +126,20 @@ def straight(
     return (away * weight).sum() / weight.sum().clamp_min(1.0)
 
 
-IMITATE = 0.2  # Fraction of the steps in which the network imitates the initial map, with decreasing weight
+IMITATION_SHARE = 0.2  # Fraction of the steps in which the network imitates the initial map, with decreasing weight
 
 
 def imitate_first(loss: Loss, known: torch.Tensor, slack_m: float, weight: float = 1.0) -> Loss:
     """Pull predictions towards an initial map (N, 2) [m], whose error is about ``slack_m``; NaN: not on the map.
 
-    At first all are pulled, while the loss takes over during the first ``IMITATE`` of the steps; later, with this
-    weight, only those farther from the map than ``slack_m`` [m].
+    At first all are pulled, while the loss takes over during the first ``IMITATION_SHARE`` of the steps; later, with
+    this weight, only those farther from the map than ``slack_m`` [m].
     """
     mapped = known.isfinite().all(dim=1)
     known = known.where(mapped[:, None], 0.0)
 
     def both(out: torch.Tensor, batch: Batch, done: torch.Tensor) -> torch.Tensor:
-        pull = (1.0 - done / IMITATE).clamp_min(0.0)
+        pull = (1.0 - done / IMITATION_SHARE).clamp_min(0.0)
         used = batch.valid & mapped[batch.index]
         away = distance(out, known[batch.index]).where(used, 0.0)
         count = used.sum().clamp_min(1)
@@ -153,12 +153,12 @@ def sample_mapped_first(draw: Draw, sample_mapped: Draw) -> Draw:
     """Draw batches of mapped segments while the initial map is imitated, and of all segments afterwards."""
 
     def draw_in_turn(generator: torch.Generator, done: float) -> Batch:
-        return (draw if done >= IMITATE else sample_mapped)(generator, done)
+        return (draw if done >= IMITATION_SHARE else sample_mapped)(generator, done)
 
     return draw_in_turn
 
 
-FLATTEN_FROM, FLATTEN_TO = 0.35, 0.7
+FLATTENING_START, FLATTENING_END = 0.35, 0.7
 """Fractions of the steps at which the penalty on deviations from the plane begins, and reaches its full weight."""
 
 
@@ -169,7 +169,7 @@ def flatten_later(loss: Loss, lift: LiftSettings) -> Loss:
     """
 
     def both(out: torch.Tensor, batch: Batch, done: torch.Tensor) -> torch.Tensor:
-        push = lift.penalty * min(1.0, max(0.0, (float(done) - FLATTEN_FROM) / (FLATTEN_TO - FLATTEN_FROM)))
+        push = lift.penalty * min(1.0, max(0.0, (float(done) - FLATTENING_START) / (FLATTENING_END - FLATTENING_START)))
         if push == 0.0:
             return loss(out, batch, done)
         points = out[batch.valid]

@@ -30,7 +30,7 @@ from sim.rng import derive_seed
 
 SNAPSHOT_SAMPLES = 2000
 LOSS_POINTS = 300
-WARM_UP = 0.05
+WARM_UP_SHARE = 0.05
 
 
 def make_generator(seed: int, purpose: str, attempt: int = 0) -> torch.Generator:
@@ -81,7 +81,7 @@ def has_fast_bfloat16(device: torch.device) -> bool:
     return can.get("amx_bf16", False) or (can.get("avx512_bf16", False) and "AMD" in can.get("cpu_name", ""))
 
 
-PLAIN_STEPS = 3
+UNRECORDED_STEPS = 3
 """Steps that are taken before one is recorded, in which CUDA's libraries load kernels and allocate memory."""
 
 Step = Callable[[torch.Tensor, Batch, torch.Tensor], torch.Tensor]
@@ -125,7 +125,7 @@ class ReplayedStep:
 
     def _forget(self) -> None:
         self.graph: torch.cuda.CUDAGraph | None = None
-        self.plain, self.shapes = PLAIN_STEPS, list[torch.Size]()
+        self.plain, self.shapes = UNRECORDED_STEPS, list[torch.Size]()
         for group in self.optimiser.param_groups:
             group["capturable"] = False  # or a plain step warns
 
@@ -279,9 +279,9 @@ def _check_finite(found: torch.Tensor, step: int, settings: TrainSettings) -> No
 def schedule(step: int, steps: int) -> float:
     """Learning rate at a step as a fraction of its peak: a linear rise, then a cosine to zero."""
     done = step / steps
-    if done < WARM_UP:
-        return (step + 1) / (WARM_UP * steps + 1)
-    return 0.5 * (1.0 + float(np.cos(np.pi * (done - WARM_UP) / (1.0 - WARM_UP))))
+    if done < WARM_UP_SHARE:
+        return (step + 1) / (WARM_UP_SHARE * steps + 1)
+    return 0.5 * (1.0 + float(np.cos(np.pi * (done - WARM_UP_SHARE) / (1.0 - WARM_UP_SHARE))))
 
 
 def predict(network: nn.Module, inputs: Inputs, index: torch.Tensor, chunk: int = 1000) -> torch.Tensor:

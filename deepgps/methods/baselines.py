@@ -95,7 +95,7 @@ def fit_knn(recording: Recording, settings: LearnSettings, seed: int, folder: Pa
     return Fitted(positioner, training)
 
 
-FITTED = 50_000  # Approximate maximum number of scans from which the principal components are computed
+FITTED_SCANS = 50_000  # Approximate maximum number of scans from which the principal components are computed
 CHUNK = 100
 COMPONENTS = 128  # Principal components of a scan, as in the paper
 
@@ -151,7 +151,7 @@ def find_axes(scans: np.ndarray, turns: np.ndarray, components: int) -> tuple[np
     """Mean (rays,) and principal axes (components, rays) of scans (N, headings, rays) at turns (N, h)."""
     from sklearn.decomposition import PCA
 
-    some = turn_scans(scans, turns[:, : max(1, FITTED // len(scans))])
+    some = turn_scans(scans, turns[:, : max(1, FITTED_SCANS // len(scans))])
     found = PCA(min(components, *some.shape), svd_solver="covariance_eigh").fit(some)
     return np.asarray(found.mean_, np.float32), np.asarray(found.components_, np.float32)
 

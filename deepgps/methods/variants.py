@@ -80,13 +80,13 @@ def fit_with_turns(recording: Recording, settings: LearnSettings, seed: int, fol
     return fit_data(data, variant, settings, seed, folder, progress).note(record)
 
 
-HELD = 4.0
+MAP_WEIGHT = 4.0
 """Weight with which the network is held to the map, which is right to millimetres, beside distances and straightness.
 
 In three worlds, with exact and noisy encoders, it was better than 1 and 16; the map alone lets the network bend a
 segment between two images.
 """
-LEAST_MOUNT_M, SURE = 0.005, 3.0
+MIN_MOUNT_M, MIN_MOUNT_DEVIATIONS = 0.005, 3.0
 """A camera that is nearer to the axle than this [m], or than so many standard deviations, is taken to be on it."""
 
 
@@ -122,7 +122,7 @@ def fit_compass(recording: Recording, settings: LearnSettings, seed: int, folder
         orient=orient,
         curvature=float(found.shared[0]),
         any_length=True,
-        held=HELD,
+        held=MAP_WEIGHT,
     )
     fitted = fit_data(data, variant, settings, seed, folder, progress)
     assert isinstance(fitted.positioner, NetworkPositioner)
@@ -145,7 +145,7 @@ def make_compass_map(data: TrainingData, turns: CompassTurns, seed: int) -> Comp
 def find_mount(found: CompassMap) -> tuple[float, float]:
     """Camera ahead of the axle and to its left [m]; zero if the map does not tell it from a camera on the axle."""
     mount, std = found.shared[1:], float(np.hypot(*found.shared_std[1:]))
-    if np.hypot(*mount) < max(LEAST_MOUNT_M, SURE * std):
+    if np.hypot(*mount) < max(MIN_MOUNT_M, MIN_MOUNT_DEVIATIONS * std):
         return 0.0, 0.0
     return float(mount[0]), float(mount[1])
 

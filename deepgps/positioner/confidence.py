@@ -20,7 +20,7 @@ from deepgps.positioner.headings import find_nearest
 
 CELL_M = 0.05  # The table has one image for each square of the map with sides of this length [m]
 COMPONENTS = 64  # Features that are compared, the slowest; more tell no more
-NEAREST, ALIKE = 16, 4
+NEAREST_ENTRIES, SIMILAR_ENTRIES = 16, 4
 """Entries around a predicted position with which an image is compared, and those most alike, which count."""
 LEVELS = (0.68, 0.95)  # Probabilities with which the radii hold the true position
 GROWTH = 3  # Power of the novelty with which radii grow where images are novel; measured, and alike in all rooms
@@ -70,7 +70,7 @@ class Confidence:
 
     def measure(self, features: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Novelty (B,) [m] of images, and the entry (B,) nearest to each position; arguments as for ``find``."""
-        rows = find_nearest(self._tree, positions, NEAREST)[1]
+        rows = find_nearest(self._tree, positions, NEAREST_ENTRIES)[1]
         known = features[:, : len(self.scale)]
         chunks = [slice(start, start + CHUNK) for start in range(0, len(rows), CHUNK)]
         novelty = [self._measure(known[chunk], rows[chunk]) for chunk in chunks]
@@ -78,7 +78,7 @@ class Confidence:
 
     def _measure(self, features: np.ndarray, rows: np.ndarray) -> np.ndarray:
         away = self.features[rows] * self.scale - features[:, None]
-        unlike = np.sort(np.sqrt(np.einsum("nek,nek->ne", away, away)), axis=1)[:, :ALIKE]
+        unlike = np.sort(np.sqrt(np.einsum("nek,nek->ne", away, away)), axis=1)[:, :SIMILAR_ENTRIES]
         return (unlike.mean(axis=1) * self.metres[rows].mean(axis=1)).astype(float)
 
     def _find_radius(self, novelty: np.ndarray, map_std: np.ndarray) -> np.ndarray:
@@ -147,7 +147,7 @@ def make_table(features: np.ndarray, positions: np.ndarray, std: np.ndarray, row
 
 def _convert(known: np.ndarray, place: np.ndarray) -> np.ndarray:
     """Median distance on the map over the distance in features (E,) [m], between each entry and those around it."""
-    apart, around = find_nearest(KDTree(place), place, NEAREST)
+    apart, around = find_nearest(KDTree(place), place, NEAREST_ENTRIES)
     found = np.zeros(len(place), np.float32)
     for start in range(0, len(place), CHUNK):
         part = slice(start, start + CHUNK)

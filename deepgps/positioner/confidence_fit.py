@@ -26,9 +26,9 @@ from scipy.special import logit
 from deepgps.data.segments import Segments, find_held_out, find_owners, spread_evenly
 from deepgps.positioner.confidence import GROWTH, LEVELS, Confidence, make_table
 
-CLEARLY = 0.67  # Median distance across bars over that along them, below which the encoders err more than the network
-LEAST_READINGS = 4  # Readings that make a bar
-FAR, MOST_FITS, PRECISE_M = 3.5, 50, 1e-6
+MIN_SPREAD_RATIO = 0.67  # Of distances across bars over those along them; below, encoders err more than the network
+MIN_READINGS = 4  # Readings that make a bar
+ROBUST_SCALE, MAX_FITS, CONVERGENCE_M = 3.5, 50, 1e-6
 """Residual that weighs a quarter, as a multiple of the median; steps of a fit, and the change at which it ends."""
 
 
@@ -49,7 +49,7 @@ def measure_bars(segments: Segments, positions: np.ndarray, chosen: np.ndarray) 
     along, across, bow, hidden = (np.concatenate(part) for part in zip(*(bar[1:] for bar in bars), strict=True))
     (across,) = find_residuals(bow[:, None], across)
     usual = np.median(np.abs(across)) / max(np.median(np.abs(along)), 1e-12)
-    error[index] = np.hypot(along * (usual if usual < CLEARLY else 1.0), across) / hidden
+    error[index] = np.hypot(along * (usual if usual < MIN_SPREAD_RATIO else 1.0), across) / hidden
     return error
 
 
@@ -59,13 +59,13 @@ def find_residuals(design: np.ndarray, values: np.ndarray, *others: np.ndarray) 
     Iteratively reweighted least squares of ``design`` (n, k) with Geman and McClure's cost.
     """
     weight, missed = np.ones(len(design)), np.zeros(len(design))
-    for _ in range(MOST_FITS):
+    for _ in range(MAX_FITS):
         root, before = np.sqrt(weight), missed
         fit = np.linalg.pinv(root[:, None] * design) * root
         missed = values - design @ (fit @ values)
-        if np.allclose(missed, before, rtol=0.0, atol=PRECISE_M):
+        if np.allclose(missed, before, rtol=0.0, atol=CONVERGENCE_M):
             break
-        weight = (1.0 + (missed / max(FAR * np.median(np.abs(missed)), 1e-12)) ** 2) ** -2
+        weight = (1.0 + (missed / max(ROBUST_SCALE * np.median(np.abs(missed)), 1e-12)) ** 2) ** -2
     return [missed, *(other - design @ (fit @ other) for other in others)]
 
 
@@ -86,7 +86,7 @@ def _fit_bars(segments: Segments, positions: np.ndarray, chosen: np.ndarray) -> 
     for row in held:
         index, way = (part[row, : segments.count[row]].numpy() for part in (segments.index, segments.distance))
         index, way = index[chosen[index]], way[chosen[index]].astype(float)
-        if len(index) < LEAST_READINGS or not np.ptp(way):
+        if len(index) < MIN_READINGS or not np.ptp(way):
             continue
         line = np.column_stack([np.ones(len(way)), way - way.mean()])
         direction = (np.linalg.pinv(line) @ positions[index])[1]
@@ -97,11 +97,11 @@ def _fit_bars(segments: Segments, positions: np.ndarray, chosen: np.ndarray) -> 
         yield _Bar(index, along, across, bow, np.full(len(index), np.sqrt(1.0 - 2.0 / len(index))))
 
 
-REFUSED = 0.02  # Share of the training images that would be refused if their segments had not been driven
-FAR_M, SELDOM = 0.25, 0.1
+REFUSED_SHARE = 0.02  # Share of the training images that would be refused if their segments had not been driven
+LARGE_ERROR_M, MAX_ERROR_PROBABILITY = 0.25, 0.1
 """An image that would be off by more than this [m] with more than this probability is refused as well."""
 FOLDS, RIDGE = 20, 1e-6
-INTERPOLATED, AROUND, SMOOTHING = 2000, 64, 1e-3
+INTERPOLATED_IMAGES, SIMILAR_ENTRIES, SMOOTHING_RIDGE = 2000, 64, 1e-3
 """Images whose positions are interpolated, entries most alike that are used for each, and the ridge of the fit."""
 
 
@@ -119,7 +119,7 @@ def leave_segments_out(segments: Segments, features: np.ndarray, positions: np.n
     Their features are (N, K), and the positions that the method predicts for them (N, 2) [m].
     """
     novelty, guessed, error, std = [], [], [], np.zeros(len(positions))
-    chosen = spread_evenly(len(positions)).numpy() < INTERPOLATED / max(1, len(positions))
+    chosen = spread_evenly(len(positions)).numpy() < INTERPOLATED_IMAGES / max(1, len(positions))
     for inside, others in _split(segments, len(positions)):
         table = make_table(features, positions, std, others)
         novelty.append(table.measure(features[inside], positions[inside])[0])
@@ -135,7 +135,7 @@ def interpolate(table: Confidence, features: np.ndarray) -> np.ndarray:
     known = table.features * table.scale
     if not len(features) or not np.ptp(known, axis=0).any():
         return np.tile(table.place.mean(axis=0, dtype=float), (len(features), 1))
-    spline = RBFInterpolator(known, table.place, neighbors=AROUND, smoothing=SMOOTHING, kernel="linear")
+    spline = RBFInterpolator(known, table.place, neighbors=SIMILAR_ENTRIES, smoothing=SMOOTHING_RIDGE, kernel="linear")
     return spline(features[:, : len(table.scale)])
 
 
@@ -143,8 +143,8 @@ def set_threshold(table: Confidence, left_out: LeftOut) -> Confidence:
     """The table that accepts a novelty [m] that most images of the drive have, and at which a position is seldom far
     off.
     """
-    usual = float(np.quantile(left_out.novelty, 1.0 - REFUSED, method="higher"))
-    threshold = min(usual, find_crossing(left_out.guessed, left_out.error > FAR_M, SELDOM))
+    usual = float(np.quantile(left_out.novelty, 1.0 - REFUSED_SHARE, method="higher"))
+    threshold = min(usual, find_crossing(left_out.guessed, left_out.error > LARGE_ERROR_M, MAX_ERROR_PROBABILITY))
     refused = float(np.mean(left_out.novelty > threshold))
     return replace(table, threshold_m=threshold, usual_m=usual, refused=refused)
 
@@ -184,8 +184,8 @@ def _split(segments: Segments, observations: int) -> Iterator[tuple[np.ndarray, 
             yield np.flatnonzero(inside), np.flatnonzero(others)
 
 
-COMPARED = 500
-LEAST_ERRORS, MOST_ERRORS = 20, 4000  # Errors from which radii are calibrated; with fewer they stay unknown
+COMPARED_IMAGES = 500
+MIN_ERRORS, MAX_ERRORS = 20, 4000  # Errors from which radii are calibrated; with fewer they stay unknown
 
 
 def make_confidence(
@@ -215,7 +215,7 @@ def make_confidence(
     table = set_threshold(make_table(features, positions, std, np.flatnonzero(known)), left_out)
     error = measure_bars(segments, positions, held)
     measured = np.isfinite(error)
-    if measured.sum() >= LEAST_ERRORS:
+    if measured.sum() >= MIN_ERRORS:
         return fit_radii(table, table.measure(features[measured], positions[measured])[0], error[measured])
     accepted = left_out.guessed <= table.threshold_m
     return fit_radii(table, left_out.guessed[accepted], left_out.error[accepted])
@@ -223,7 +223,7 @@ def make_confidence(
 
 def fit_radii(table: Confidence, novelty: np.ndarray, error: np.ndarray) -> Confidence:
     """The table with radii that hold errors (n,) [m] of images with a novelty (n,) [m]; too few of them tell none."""
-    if np.count_nonzero(novelty) < LEAST_ERRORS:
+    if np.count_nonzero(novelty) < MIN_ERRORS:
         return table
     least = find_least_growth(table)
     slope = [fit_quantile(novelty, error, *one) for one in zip(LEVELS, least, strict=True)]
@@ -235,7 +235,7 @@ def find_least_growth(table: Confidence) -> np.ndarray:
 
     An image that is as unlike the entries as these are unlike one another could be anywhere on the map.
     """
-    some = spread_evenly(len(table.place)).argsort()[:COMPARED].numpy()
+    some = spread_evenly(len(table.place)).argsort()[:COMPARED_IMAGES].numpy()
     unlike = np.median(pdist(table.features[some] * table.scale)) * np.median(table.metres)
     return np.quantile(pdist(table.place[some]), LEVELS) / max(unlike, 1e-12) ** GROWTH
 
@@ -246,7 +246,7 @@ def fit_quantile(novelty: np.ndarray, error: np.ndarray, level: float, least: fl
     Linear quantile regression (Koenker and Bassett 1978): the sum of ``level`` times errors above the line and of
     ``1 - level`` times those below it is smallest.
     """
-    thin = slice(None, None, -(-len(error) // MOST_ERRORS))
+    thin = slice(None, None, -(-len(error) // MAX_ERRORS))
     novelty, error = novelty[thin], error[thin]
     count, size = len(error), np.mean(novelty**GROWTH)  # of this size, so that both unknowns are of one order
     line = np.column_stack([np.ones(count), novelty**GROWTH / size])

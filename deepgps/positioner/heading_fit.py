@@ -15,13 +15,13 @@ from sim.geometry import wrap
 from sim.recording.format import Recording
 
 CELL_M = 0.1  # The table has one image for each square of the map with sides of this length [m]
-AROUND, REACH_M = 16, 0.25
+SURROUNDING_IMAGES, REACH_M = 16, 0.25
 """Training images around an entry from which its heading is refined, and the farthest of them [m]."""
-LEAST_M = 0.005  # Least error that is taken for a predicted position [m]
-PARALLAX_RAD_PER_M, MATCH_RAD = np.radians(20.0), np.radians(0.3)
+MIN_ERROR_M = 0.005  # Least error that is taken for a predicted position [m]
+PARALLAX_RAD_PER_M, MIN_ERROR_RAD = np.radians(20.0), np.radians(0.3)
 """Usual size of the parallax [rad / m], and least error of an angle between two images [rad]."""
-MOST_RAD = np.radians(10.0)  # Images whose heading is known worse than this do not come into the table [rad]
-CHECKED = 512  # Training images by which the standard deviation is scaled
+MAX_HEADING_STD_RAD = np.radians(10.0)  # Images whose heading is known worse than this do not come into the table [rad]
+CHECKED_IMAGES = 512  # Training images by which the standard deviation is scaled
 CHUNK = 256
 
 
@@ -43,13 +43,13 @@ def make_headings(recording: Recording, positions: np.ndarray) -> HeadingTable |
     if recording.kind != "polar_image" or recording.observation.shape[2] < 8:
         return None
     lines = fit_lines(recording, positions)
-    able = np.flatnonzero(lines.std < MOST_RAD)
+    able = np.flatnonzero(lines.std < MAX_HEADING_STD_RAD)
     able = np.concatenate([able[:0], *(part[_show_direction(recording, part)] for part in _split(able))])
     if len(able) < 2:
         return None
     place, heading, std = positions[able], lines.heading[able], lines.std[able]
     entry = thin_out(place, CELL_M)
-    distance, around = find_nearest(KDTree(place), place[entry], AROUND)
+    distance, around = find_nearest(KDTree(place), place[entry], SURROUNDING_IMAGES)
     # of a million images, only those of the table and around its entries are in memory
     used, row = np.unique(np.column_stack([entry, around]), return_inverse=True)
     row = row.reshape(len(entry), -1)
@@ -77,7 +77,7 @@ def make_headings(recording: Recording, positions: np.ndarray) -> HeadingTable |
         1.0,
     )
     others = np.setdiff1d(np.arange(len(able)), entry)
-    others = others[:: max(1, len(others) // CHECKED)]
+    others = others[:: max(1, len(others) // CHECKED_IMAGES)]
     return _scale_std(table, recording.observation[able[others]], place[others], heading[others])
 
 
@@ -108,7 +108,7 @@ def fit_lines(recording: Recording, positions: np.ndarray) -> Lines:
         length = np.hypot(x, y) / np.sqrt((number**2).sum())
         alone = index[uses[index] == 1]
         heading[alone] = np.arctan2(y, x)
-        std[alone] = np.sqrt(square + LEAST_M**2) / length
+        std[alone] = np.sqrt(square + MIN_ERROR_M**2) / length
         residual[alone] = np.sqrt(square)
     return Lines(heading, std, residual)
 
@@ -144,7 +144,7 @@ def _refine(
     for _ in range(8):
         missed = wrap(off - np.einsum("emk,ek->em", rows, found))
         middle = _median(np.abs(missed), near)
-        scale = np.maximum(1.5 * np.asarray(middle), MATCH_RAD)[..., None]
+        scale = np.maximum(1.5 * np.asarray(middle), MIN_ERROR_RAD)[..., None]
         weight = near / (std**2 + scale**2) / (1.0 + (missed / (2.0 * scale)) ** 2)
         target = missed + np.einsum("emk,ek->em", rows, found)
         matrix = np.einsum("em,emk,eml->ekl", weight, rows, rows) + prior

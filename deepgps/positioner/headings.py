@@ -20,15 +20,15 @@ from sim.sensors.compass import MATCH_FLOOR, MIN_CONTRAST, find_highest
 from sim.sensors.compass_fit import CUTOFF, HIGH_PASS_CYCLES
 
 RINGS, FREQUENCIES = 8, 32  # Rings that the table keeps, each the mean of some of the image's, and cycles per turn
-FINE = 512  # Samples of the correlation in a turn
-NEAREST, ALIKE = 6, 4
+ANGLE_SAMPLES = 512  # Samples of the correlation in a turn
+NEAREST_ENTRIES, SIMILAR_ENTRIES = 6, 4
 """Entries that an image is compared with: nearest to its position, and most alike, in case the position is wrong."""
-FARTHEST_M = 0.2  # Distance beyond which the parallax between two places no longer grows as fitted [m]
-TOGETHER_RAD, APART_RAD = np.radians(5.0), np.radians(15.0)
+MAX_PARALLAX_M = 0.2  # Distance beyond which the parallax between two places no longer grows as fitted [m]
+MODE_WIDTH_RAD, MODE_SEPARATION_RAD = np.radians(5.0), np.radians(15.0)
 """Angles of one hypothesis are within the first of its mode; another hypothesis is at least the second away [rad]."""
-SCALE_RAD, FLOOR_RAD = np.radians(1.0), np.radians(0.05)
+SCALE_RAD, MIN_SPREAD_RAD = np.radians(1.0), np.radians(0.05)
 """Scale of the Cauchy weights with which angles are averaged, and their least spread [rad]."""
-LEAST_WEIGHT = 0.05  # A second hypothesis with a smaller weight is left out
+MIN_WEIGHT = 0.05  # A second hypothesis with a smaller weight is left out
 CHUNK = 64
 
 
@@ -97,11 +97,11 @@ class HeadingTable:
         return learn_looks(self._phases)
 
     def _find_nearest(self, positions: np.ndarray) -> np.ndarray:
-        return find_nearest(self._tree, positions, NEAREST)[1]
+        return find_nearest(self._tree, positions, NEAREST_ENTRIES)[1]
 
     def _find_alike(self, phases: np.ndarray) -> np.ndarray:
         known, mean = self._looks
-        return find_largest(take_looks(phases, mean) @ known.T, ALIKE)
+        return find_largest(take_looks(phases, mean) @ known.T, SIMILAR_ENTRIES)
 
     def _find(self, phases: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Yaw, standard deviation and weight (B, 2) of images with these phases (B, L, K)."""
@@ -114,7 +114,9 @@ class HeadingTable:
         trust = (share / np.maximum(share.sum(axis=2, keepdims=True), 1e-30)) / (unexplained[..., :1] + 0.01) ** 2
         away = positions[:, None] - self.place[rows]
         distance = np.linalg.norm(away, axis=2, keepdims=True)
-        away = away * np.where(distance < 3.0 * FARTHEST_M, np.minimum(1.0, FARTHEST_M / np.maximum(distance, 1e-9)), 0)
+        away = away * np.where(
+            distance < 3.0 * MAX_PARALLAX_M, np.minimum(1.0, MAX_PARALLAX_M / np.maximum(distance, 1e-9)), 0
+        )
         shift = self.heading[rows] + (self.parallax[rows] * away).sum(axis=2)
         yaw = shift[..., None] + self.chirality * angle
         blank = ~np.abs(phases).any(axis=(1, 2))
@@ -124,10 +126,10 @@ class HeadingTable:
     def _choose(self, yaw: np.ndarray, trust: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The two likeliest hypotheses (B, 2) among angles (B, M) with these weights."""
         first, spread, weight = _find_mode(yaw, trust)
-        other = np.where(np.abs(wrap(yaw - first[:, None])) > APART_RAD, trust, 0.0)
+        other = np.where(np.abs(wrap(yaw - first[:, None])) > MODE_SEPARATION_RAD, trust, 0.0)
         second, other_spread, other_weight = _find_mode(yaw, other)
         both = np.stack([weight, other_weight], axis=1) / np.maximum(trust.sum(axis=1), 1e-30)[:, None]
-        both[both < LEAST_WEIGHT] = 0.0
+        both[both < MIN_WEIGHT] = 0.0
         found, std = np.stack([first, second], axis=1), self.std_factor * np.stack([spread, other_spread], axis=1)
         return np.where(both > 0.0, wrap(found), np.nan), np.where(both > 0.0, std, np.nan), both
 
@@ -181,7 +183,9 @@ def correlate(known: np.ndarray, phases: np.ndarray) -> tuple[np.ndarray, np.nda
         there (B, M, 2), -1 where there is no second peak.
     """
     cross = np.einsum("nlk,nmlk->nmk", phases.conj(), known)
-    curve = np.asarray(fft.irfft(np.pad(cross, ((0, 0), (0, 0), (1, 0))), FINE)) * np.float32(FINE / 2)
+    curve = np.asarray(fft.irfft(np.pad(cross, ((0, 0), (0, 0), (1, 0))), ANGLE_SAMPLES)) * np.float32(
+        ANGLE_SAMPLES / 2
+    )
     angle, height = find_highest(curve, 2)
     return angle, np.maximum(height, -1.0)
 
@@ -195,7 +199,7 @@ def find_nearest(tree: KDTree, places: np.ndarray, count: int) -> tuple[np.ndarr
 
 def _find_mode(angle: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Robust mean of the angles near the mode of angles (B, M), their spread, and their weight, each (B,)."""
-    near = np.abs(wrap(angle[:, :, None] - angle[:, None])) < TOGETHER_RAD
+    near = np.abs(wrap(angle[:, :, None] - angle[:, None])) < MODE_WIDTH_RAD
     total = np.einsum("nij,nj->ni", near, weight) * (weight > 0.0)
     best, rows = total.argmax(axis=1), np.arange(len(angle))
     mode, near = angle[rows, best], near[rows, best]
@@ -204,7 +208,7 @@ def _find_mode(angle: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.nd
         missed = wrap(angle - mode[:, None])
         robust = member / (1.0 + (missed / SCALE_RAD) ** 2)
         mode = mode + (robust * missed).sum(axis=1) / robust.sum(axis=1)
-    spread = np.sqrt((robust * wrap(angle - mode[:, None]) ** 2).sum(axis=1) / robust.sum(axis=1) + FLOOR_RAD**2)
+    spread = np.sqrt((robust * wrap(angle - mode[:, None]) ** 2).sum(axis=1) / robust.sum(axis=1) + MIN_SPREAD_RAD**2)
     return mode, spread, total[rows, best]
 
 

@@ -26,7 +26,7 @@ from sim.sensors.camera.mount import Upright
 
 CHUNK = 500
 CPU = torch.device("cpu")
-LARGEST_TABLE = 16_000_000
+MAX_TABLE_DISTANCES = 16_000_000
 """Maximum number of distances between observations and stored neighbours that are in memory at once."""
 
 
@@ -227,7 +227,7 @@ class NeighbourPositioner(FeaturePositioner):
 
     def locate_with_features(self, observations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         features = self.features.apply(observations)
-        chunk = max(1, min(CHUNK, LARGEST_TABLE // max(1, len(self.known))))
+        chunk = max(1, min(CHUNK, MAX_TABLE_DISTANCES // max(1, len(self.known))))
         found = [self._position(part) for part in features.split(chunk)]
         return np.concatenate([np.zeros((0, 2)), *found]), features.numpy()
 

@@ -85,7 +85,7 @@ class ArrayPositioner(Positioner):
 
 
 ROUNDS = 20
-POINTS_AT_ONCE = 1000
+POINT_BATCH = 1000
 DAMPING = 1e-12
 
 
@@ -100,9 +100,9 @@ class LandmarkPositioner(Positioner):
 
     def __call__(self, observations: np.ndarray) -> np.ndarray:
         check_shape(observations, (len(self.landmark),))
-        starts = range(0, len(observations), POINTS_AT_ONCE)
+        starts = range(0, len(observations), POINT_BATCH)
         found = [
-            trilaterate(self.landmark, observations[start : start + POINTS_AT_ONCE], self.reach_m) for start in starts
+            trilaterate(self.landmark, observations[start : start + POINT_BATCH], self.reach_m) for start in starts
         ]
         return np.concatenate([np.zeros((0, 2)), *found])
 

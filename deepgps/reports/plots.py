@@ -61,7 +61,7 @@ def smooth(values: np.ndarray, first: int = 0) -> np.ndarray:
     return np.array([np.median(values[max(i - half, 0) : i + half + 1]) for i in range(first, len(values))])
 
 
-REFUSED = "#9aa0aa"
+REFUSED_COLOUR = "#9aa0aa"
 """Colour of errors of images that the method refuses."""
 # Logarithmic, since one plot shows errors of a centimetre and of a metre.
 SCALE_M = (0.01, 1.0)
@@ -101,7 +101,7 @@ def draw_field(
     draw_room(axes, space, floor)
     accepted, refused = split_by_acceptance(field)
     order = np.argsort(accepted.error)  # the largest errors are drawn on top
-    _draw_arrows(axes, refused, np.array([to_rgba(REFUSED)]))
+    _draw_arrows(axes, refused, np.array([to_rgba(REFUSED_COLOUR)]))
     _draw_arrows(axes, accepted.take(order), colours_of(accepted.error[order], scale_m) / 255)
 
 
@@ -109,7 +109,7 @@ def explain_refused(figure: Figure, fields: Iterable[ErrorField]) -> None:
     """Add a line below the axes that says what grey means, if some of the fields have refused images."""
     if any(not field.is_accepted.all() for field in fields):
         figure.legend(
-            handles=[Line2D([], [], color=REFUSED, marker="o", markersize=3)],
+            handles=[Line2D([], [], color=REFUSED_COLOUR, marker="o", markersize=3)],
             labels=["grey: images that the method refuses; colours: the worst heading of those it accepts"],
             loc="outside lower center",
             frameon=False,

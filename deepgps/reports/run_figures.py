@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from deepgps.config.methods import METHODS, colour_of, title_of
 from deepgps.evaluation.error_field import ErrorField, find_rms, read_all_headings, split_by_acceptance
-from deepgps.evaluation.measures import REFUSED, find_risk
+from deepgps.evaluation.measures import REFUSED_SHARES, find_risk
 from deepgps.reports.plots import add_scale, draw_field, draw_room, explain_refused, smooth, to_png
 from deepgps.reports.run_report import read_metrics
 from sim.files.atomic import write_bytes
@@ -22,7 +22,7 @@ from sim.geometry import FreeSpace, limits
 from sim.recording.format import Truth, open_recording, open_truth
 
 NOTE_IN = 0.4  # Height of the note below error fields [inch]
-TALLEST = 4.0  # Largest height of a figure's floor over its width; matplotlib draws no picture of 65,536 px
+MAX_ASPECT = 4.0  # Largest height of a figure's floor over its width; matplotlib draws no picture of 65,536 px
 DRIVE_COLOURS = LinearSegmentedColormap.from_list("drive", ["#3f78ff", "#c86bff", "#ff8a5c", "#ffe36e"])
 
 
@@ -158,7 +158,7 @@ def draw_drive(truth: Truth, reading: np.ndarray, driven_m: float | None = None)
 
 def _aspect(space: FreeSpace) -> float:
     low, high = limits(space)
-    return min((high[1] - low[1]) / (high[0] - low[0]), TALLEST)
+    return min((high[1] - low[1]) / (high[0] - low[0]), MAX_ASPECT)
 
 
 def _summary(field: ErrorField) -> str:
@@ -183,7 +183,7 @@ def _rank(name: str) -> tuple[int, str]:
     return (names.index(name) if name in names else len(names), name)
 
 
-LARGEST_SHARE = REFUSED[-1]  # Share refused at the end of the axis, as in the table of ``metrics.json``
+MAX_REFUSED_SHARE = REFUSED_SHARES[-1]  # Share refused at the end of the axis, as in the table of ``metrics.json``
 
 
 def draw_risk(fields: Mapping[str, ErrorField]) -> Figure:
@@ -210,7 +210,7 @@ def plot_risk(axes: Axes, fields: Mapping[str, ErrorField]) -> None:
     axes.plot([], [], "--", color="#666666", lw=1.0, label="refused by the true error")
     axes.plot([], [], "o", color="#666666", ms=6, mec="#ffffff", label="what the method refuses")
     axes.set(xlabel="images refused [%]", ylabel="RMS error of the others [cm]")
-    axes.set_xlim(-0.1, 100 * LARGEST_SHARE)
+    axes.set_xlim(-0.1, 100 * MAX_REFUSED_SHARE)
     axes.xaxis.set_major_locator(ticker.MultipleLocator(1))
     axes.set_ylim(bottom=0)
     axes.grid(alpha=0.25)
@@ -220,5 +220,5 @@ def plot_risk(axes: Axes, fields: Mapping[str, ErrorField]) -> None:
 
 def _plot_curve(axes: Axes, risk: np.ndarray, **line) -> None:
     refused = 100 * (1 - np.arange(1, len(risk) + 1) / len(risk))
-    shown = refused <= 100 * LARGEST_SHARE
+    shown = refused <= 100 * MAX_REFUSED_SHARE
     axes.plot(refused[shown], 100 * risk[shown], **line)

@@ -8,7 +8,7 @@ from typing import Any
 from rich.console import Console
 
 from deepgps.config.methods import title_of
-from deepgps.evaluation.error_field import MEASURE_AGAIN
+from deepgps.evaluation.error_field import REPAIR_HINT
 from deepgps.reports import table
 from deepgps.reports.table import Column, fill, write_hundredths
 from deepgps.reports.without_truth import print_without_truth
@@ -31,7 +31,7 @@ COLUMNS: tuple[Column, ...] = (
     ("align", "alignment", str),
     ("train [s]", "train_s", lambda value: f"{value:.1f}"),
 )
-VISIBLE_DEG = 0.1  # Smallest lean of the camera that is reported [deg]
+MIN_LEAN_DEG = 0.1  # Smallest lean of the camera that is reported [deg]
 OVERVIEW = tuple(column for column in COLUMNS if column[1] in {"rms_m", "median_m", "max_m", "relative_rms"})
 
 
@@ -43,7 +43,7 @@ def read_metrics(run: Path) -> dict[str, Any]:
     try:
         metrics = read_json(path)
     except DamagedError as error:
-        raise DamagedError(f"{error}; {MEASURE_AGAIN}") from None
+        raise DamagedError(f"{error}; {REPAIR_HINT}") from None
     if not isinstance(metrics, dict) or not isinstance(metrics.get("methods"), dict):
         raise InputError(f"{path} lists no methods: it is not the metrics.json of a run")
     return metrics
@@ -186,7 +186,7 @@ def _describe_leans(methods: Mapping[str, Any]) -> list[str]:
         for where, values in places.items()
         if "lean_roll_deg" in values
     }
-    if not any(max(map(abs, lean)) >= VISIBLE_DEG for lean in leans.values()):
+    if not any(max(map(abs, lean)) >= MIN_LEAN_DEG for lean in leans.values()):
         return []
     parts = (f"{roll:.2f}° to the right and {pitch:.2f}° forward in {where}" for where, (roll, pitch) in leans.items())
     return [f"By its turns, the camera leans {', '.join(parts)}."]
@@ -231,12 +231,12 @@ def _plain(value: Any) -> str:
 
 
 SCALE_LIMITS = (0.9, 1.1)  # Scales of a map beyond these are no error of the encoders
-LARGEST_RELATIVE_RMS = 0.1  # RMS, as a fraction of the room's shorter side, from which a map is of no use
-LARGEST_TURNED = 0.03
+MAX_RELATIVE_RMS = 0.1  # RMS, as a fraction of the room's shorter side, from which a map is of no use
+MAX_TURNED_SHARE = 0.03
 """Part of the way that may be mirrored or turned in a right map: images taken for a place that looks alike. In twenty
 worlds of corridors and labyrinths it was at most 1.4 % in right maps by distances alone, 4 to 55 % in wrong ones."""
-LEAST_SEEN = 0.9  # Fraction of the test positions near a training observation below which the drive is too short
-TRY_OUT = "This is a small run that shows the way only; its errors have no meaning."
+MIN_SEEN_SHARE = 0.9  # Fraction of the test positions near a training observation below which the drive is too short
+SMOKE_TEST_NOTE = "This is a small run that shows the way only; its errors have no meaning."
 
 
 def judge_run(metrics: Mapping[str, Any]) -> list[str]:
@@ -246,14 +246,14 @@ def judge_run(metrics: Mapping[str, Any]) -> list[str]:
     sentences = [f"Not converged: {'; '.join(doubtful)}."] if doubtful else []
     for name, values in metrics["methods"].items():
         turned = values.get("turned", {})
-        if (part := describe_turned(turned)) and turned["share"] <= LARGEST_TURNED:
+        if (part := describe_turned(turned)) and turned["share"] <= MAX_TURNED_SHARE:
             sentences.append(f"{title_of(name)}: {part}.")
         if undecided := describe_undecided(values.get("map", {})):
             sentences.append(f"{title_of(name)}: {undecided}")
     if missed := describe_missed(metrics.get("coverage", {})):
         sentences.append(missed)
     if metrics.get("scenario") == "tiny":
-        sentences.append(TRY_OUT)
+        sentences.append(SMOKE_TEST_NOTE)
     return sentences
 
 
@@ -267,9 +267,9 @@ def find_doubts(method: Mapping[str, Any]) -> list[str]:
     if isinstance(fold, Mapping) and fold.get("found"):
         reasons.append("the map is folded")
     turned = method.get("turned", {})
-    if (reason := describe_turned(turned)) and turned["share"] > LARGEST_TURNED:
+    if (reason := describe_turned(turned)) and turned["share"] > MAX_TURNED_SHARE:
         reasons.append(reason)
-    if rms is not None and rms > LARGEST_RELATIVE_RMS:
+    if rms is not None and rms > MAX_RELATIVE_RMS:
         reasons.append(f"RMS {100 * rms:.0f} % of the room's shorter side")
     return reasons
 
@@ -301,7 +301,7 @@ def describe_turned(turned: Mapping[str, Any]) -> str | None:
 def describe_missed(coverage: Mapping[str, Any]) -> str | None:
     """Say in a sentence how much of the room, and which part, the drive has missed; None: little."""
     reachable = coverage.get("reachable_cells", 0)
-    if not reachable or coverage["cells_seen"] >= LEAST_SEEN * reachable:
+    if not reachable or coverage["cells_seen"] >= MIN_SEEN_SHARE * reachable:
         return None
     share = 100 * (1 - coverage["cells_seen"] / reachable)
     part = f", mostly in the {coverage['missed']}" if coverage.get("missed") else ""

@@ -7,7 +7,7 @@ import numpy as np
 
 from deepgps.reports.table import tabulate
 
-LEVEL, LEAST_VALUES, RESAMPLES = 0.95, 5, 9999  # Of intervals; with fewer values than this, a figure has none
+LEVEL, MIN_VALUES, RESAMPLES = 0.95, 5, 9999  # Of intervals; with fewer values than this, a figure has none
 
 # unit -> factor, digits, suffix
 FORMS = {
@@ -57,7 +57,7 @@ def share_of(title: str, held: Sequence[bool], at_least: bool = True) -> Figure:
         return Figure(title, None, "%", at_least)
     count = sum(map(bool, held))
     found = stats.binomtest(count, len(held)).proportion_ci(LEVEL, "wilson")
-    interval = (float(found.low), float(found.high)) if len(held) >= LEAST_VALUES else None
+    interval = (float(found.low), float(found.high)) if len(held) >= MIN_VALUES else None
     return Figure(title, count / len(held), "%", at_least, interval=interval)
 
 
@@ -74,7 +74,7 @@ def _summarise(title: str, middle: Callable, values: Sequence[float], unit: str,
 
 def _resample(middle: Callable, *values: Sequence[float]) -> tuple[float, float] | None:
     """Interval of a figure by drawing its cases again (percentile bootstrap, Efron 1979)."""
-    if len(values[0]) < LEAST_VALUES:
+    if len(values[0]) < MIN_VALUES:
         return None
     drawn = np.random.default_rng(0).integers(len(values[0]), size=(RESAMPLES, len(values[0])))
     found = middle(*(np.asarray(one, float)[drawn] for one in values), axis=1)

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 from deepgps.config.methods import title_of
-from deepgps.evaluation.track_run import APART, Reference, Tracked, measure_distances, take_in_world
+from deepgps.evaluation.track_run import POSE_SEPARATION, Reference, Tracked, measure_distances, take_in_world
 from deepgps.reports.plots import PAPER, SCALE_M, add_scale, colours_of, count_by_decades, draw_room, to_png
 from deepgps.reports.table import print_table, say
 from deepgps.tracking.causes import describe_causes
@@ -49,7 +49,10 @@ def print_track(tracked: Tracked, console: Console) -> None:
         say(console, f"The truth is not known, so there are no errors. --tum writes poses in the {frame}.")
         return
     print_table(console, ("path", *(one[0] for one in COLUMNS)), list_rows(figures["paths"]))
-    say(console, f"\nErrors on images of the drive; ATE after an alignment of its own, RPE over {APART} images.")
+    say(
+        console,
+        f"\nErrors on images of the drive; ATE after an alignment of its own, RPE over {POSE_SEPARATION} images.",
+    )
 
 
 def list_rows(paths: dict[str, dict[str, Any]]) -> list[list[str]]:

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 from deepgps.diagnosis.diagnosis import Diagnosis, Estimate
-from deepgps.diagnosis.findings import UNKNOWN, Finding, find_faults, list_smallest
+from deepgps.diagnosis.findings import UNKNOWN_SCALE_NOTE, Finding, find_faults, list_smallest
 from deepgps.evaluation.segment_errors import measure_segments
 from deepgps.reports.plots import SCREEN
 from deepgps.reports.table import print_table, say, tabulate
@@ -17,11 +17,11 @@ from sim.recording.format import Recording
 from sim.sensors.encoder import measure_tick
 from sim.settings import EncoderSettings, RobotSettings
 
-ENCODER, TRUE = "#ff9628", "#5aa0ff"
+ENCODER_COLOUR, TRUE_COLOUR = "#ff9628", "#5aa0ff"
 
 
-ALL_WELL = "Nothing is wrong with these wheels, as far as the robot's own sensors can tell."
-NOT_MEASURED = "Too little of the drive could be used to tell what is wrong with these wheels."
+NO_FAULT_NOTE = "Nothing is wrong with these wheels, as far as the robot's own sensors can tell."
+TOO_SHORT_NOTE = "Too little of the drive could be used to tell what is wrong with these wheels."
 HEADINGS = ("quantity", "found", "95 % interval", "assumed", "detectable")
 
 
@@ -68,7 +68,7 @@ def write_markdown(diagnosis: Diagnosis) -> str:
     """The page in Markdown."""
     faults = find_faults(diagnosis)
     blocks = ["# What is wrong with these wheels", *_list_findings(diagnosis, faults)]
-    blocks += [tabulate(HEADINGS, list_rows(diagnosis)), _say_how(diagnosis), UNKNOWN]
+    blocks += [tabulate(HEADINGS, list_rows(diagnosis)), _say_how(diagnosis), UNKNOWN_SCALE_NOTE]
     return "\n\n".join(blocks) + "\n"
 
 
@@ -78,7 +78,7 @@ def print_diagnosis(diagnosis: Diagnosis, console: Console) -> None:
     style = "green" if not faults and _is_measured(diagnosis) else "yellow"
     say(console, *(f"{line}\n" for line in _list_findings(diagnosis, faults)), style=style)
     print_table(console, HEADINGS, list_rows(diagnosis))
-    say(console, f"\n{_say_how(diagnosis)}", f"\n{UNKNOWN}")
+    say(console, f"\n{_say_how(diagnosis)}", f"\n{UNKNOWN_SCALE_NOTE}")
 
 
 def _is_measured(diagnosis: Diagnosis) -> bool:
@@ -87,7 +87,7 @@ def _is_measured(diagnosis: Diagnosis) -> bool:
 
 def _list_findings(diagnosis: Diagnosis, faults: Sequence[Finding]) -> list[str]:
     if not faults:
-        return [ALL_WELL if _is_measured(diagnosis) else NOT_MEASURED]
+        return [NO_FAULT_NOTE if _is_measured(diagnosis) else TOO_SHORT_NOTE]
     return [
         f"{number}. {one.text}\n   Set: {one.cure}.\n   In the simulator: {one.setting}"
         for number, one in enumerate(faults, start=1)
@@ -172,13 +172,13 @@ def draw_segments(length: np.ndarray, error: np.ndarray) -> Figure:
         cloud, counts = figure.subplots(1, 2, sharey=True, width_ratios=[5, 2])
         error_mm = 1000 * error
         cloud.axhline(0, color="#888888", linewidth=0.8)
-        cloud.scatter(length, error_mm, s=9, color=ENCODER, alpha=0.6, linewidths=0)
+        cloud.scatter(length, error_mm, s=9, color=ENCODER_COLOUR, alpha=0.6, linewidths=0)
         middle, rms = _rms_along(length, error_mm)
-        cloud.plot(middle, rms, color=TRUE, linewidth=1.6, label="± RMS of segments of similar length")
-        cloud.plot(middle, -rms, color=TRUE, linewidth=1.6)
+        cloud.plot(middle, rms, color=TRUE_COLOUR, linewidth=1.6, label="± RMS of segments of similar length")
+        cloud.plot(middle, -rms, color=TRUE_COLOUR, linewidth=1.6)
         cloud.set(xlabel="length of the segment [m]", ylabel="encoder minus truth [mm]", xlim=(0, None))
         cloud.legend(frameon=False, loc="upper left", fontsize=9)
-        counts.hist(error_mm, bins=40, orientation="horizontal", color=ENCODER, alpha=0.8)
+        counts.hist(error_mm, bins=40, orientation="horizontal", color=ENCODER_COLOUR, alpha=0.8)
         counts.set(xlabel="segments")
         for axes in (cloud, counts):
             axes.set_facecolor(SCREEN[0])

@@ -30,7 +30,12 @@ class YawModule(nn.Module):
         self.chirality, self.std_factor, self.sectors = table.chirality, table.std_factor, sectors
         pool, passed = _pool(rings), headings.filter_frequencies(sectors)
         wave = np.exp(-2j * np.pi / sectors * np.outer(np.arange(sectors), np.arange(1, len(passed) + 1))) * passed
-        angle = 2.0 * np.pi / headings.FINE * np.outer(np.arange(1, len(passed) + 1), np.arange(headings.FINE))
+        angle = (
+            2.0
+            * np.pi
+            / headings.ANGLE_SAMPLES
+            * np.outer(np.arange(1, len(passed) + 1), np.arange(headings.ANGLE_SAMPLES))
+        )
         self.spectrum = _keep(np.concatenate([table.spectrum[..., 0], table.spectrum[..., 1]], axis=2))
         self.place, self.heading = _keep(table.place, np.float64), _keep(table.heading, np.float64)
         self.parallax, self.position_std = _keep(table.parallax, np.float64), _keep(table.position_std, np.float64)
@@ -42,7 +47,7 @@ class YawModule(nn.Module):
         """Yaw of images (B, rings, sectors, channels) float32 whose camera was at positions (B, 2) float64 [m]."""
         phases, blank = self._take_phases(image)
         away = position[:, None] - self.place
-        nearest = away.square().sum(dim=2).topk(min(headings.NEAREST, len(self.place)), largest=False).indices
+        nearest = away.square().sum(dim=2).topk(min(headings.NEAREST_ENTRIES, len(self.place)), largest=False).indices
         rows = torch.cat([nearest, self._find_alike(phases)], dim=1)
         yaw, trust = self._weigh(phases, rows, position)
         trust = trust * (~blank)[:, None]
@@ -63,7 +68,7 @@ class YawModule(nn.Module):
         known = _take_looks(_normalise(self.spectrum.float()))
         mean = known.mean(dim=0)
         likeness = _divide(_take_looks(phases) - mean) @ _divide(known - mean).T
-        return likeness.topk(min(headings.ALIKE, len(self.place))).indices
+        return likeness.topk(min(headings.SIMILAR_ENTRIES, len(self.place))).indices
 
     def _weigh(
         self, phases: torch.Tensor, rows: torch.Tensor, position: torch.Tensor
@@ -80,7 +85,9 @@ class YawModule(nn.Module):
         trust = share / share.sum(dim=2, keepdim=True).clamp_min(1e-30) / first
         away = position[:, None] - self.place[rows]
         distance = away.square().sum(dim=2, keepdim=True).sqrt()
-        near = (headings.FARTHEST_M / distance.clamp_min(1e-9)).clamp_max(1.0) * (distance < 3.0 * headings.FARTHEST_M)
+        near = (headings.MAX_PARALLAX_M / distance.clamp_min(1e-9)).clamp_max(1.0) * (
+            distance < 3.0 * headings.MAX_PARALLAX_M
+        )
         shift = self.heading[rows] + (self.parallax[rows] * away * near).sum(dim=2)
         return (shift[..., None] + self.chirality * angle).flatten(1), trust.flatten(1)
 
@@ -92,13 +99,13 @@ class YawModule(nn.Module):
         curve = cross @ self.curve
         before, after = curve.roll(1, dims=2), curve.roll(-1, dims=2)
         peaks = torch.where((curve > before) & (curve >= after), curve, -torch.ones_like(curve))
-        sample, found = torch.arange(headings.FINE), []
+        sample, found = torch.arange(headings.ANGLE_SAMPLES), []
         for _ in range(2):
             place = peaks.argmax(dim=2, keepdim=True)
             low, top, high = (part.gather(2, place).double() for part in (before, curve, after))
             bend = low - 2.0 * top + high
             aside = torch.where(bend < 0.0, (low - high) / (2.0 * bend.clamp_max(-1e-30)), torch.zeros_like(bend))
-            found.append((2.0 * np.pi / headings.FINE * (place + aside), peaks.gather(2, place).double()))
+            found.append((2.0 * np.pi / headings.ANGLE_SAMPLES * (place + aside), peaks.gather(2, place).double()))
             peaks = torch.where(sample == place, -torch.ones_like(peaks), peaks)
         angle, height = (torch.cat(part, dim=2) for part in zip(*found, strict=True))
         return angle, height
@@ -106,10 +113,12 @@ class YawModule(nn.Module):
     def _choose(self, yaw: torch.Tensor, trust: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """The two likeliest hypotheses (B, 2) among angles (B, M) with these weights."""
         first, spread, weight = _find_mode(yaw, trust)
-        other = torch.where(wrap(yaw - first[:, None]).abs() > headings.APART_RAD, trust, torch.zeros_like(trust))
+        other = torch.where(
+            wrap(yaw - first[:, None]).abs() > headings.MODE_SEPARATION_RAD, trust, torch.zeros_like(trust)
+        )
         second, other_spread, other_weight = _find_mode(yaw, other)
         both = torch.stack([weight, other_weight], dim=1) / trust.sum(dim=1).clamp_min(1e-30)[:, None]
-        both = torch.where(both < headings.LEAST_WEIGHT, torch.zeros_like(both), both)
+        both = torch.where(both < headings.MIN_WEIGHT, torch.zeros_like(both), both)
         found, std = torch.stack([first, second], dim=1), self.std_factor * torch.stack([spread, other_spread], dim=1)
         none = torch.full_like(both, torch.nan)
         return torch.where(both > 0.0, wrap(found), none), torch.where(both > 0.0, std, none), both
@@ -130,7 +139,7 @@ def _pool(rings: int) -> np.ndarray:
 
 def _find_mode(angle: torch.Tensor, weight: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Robust mean of the angles near the mode of angles (B, M), their spread, and their weight, each (B,)."""
-    near = (wrap(angle[:, :, None] - angle[:, None]).abs() < headings.TOGETHER_RAD).double()
+    near = (wrap(angle[:, :, None] - angle[:, None]).abs() < headings.MODE_WIDTH_RAD).double()
     total = (near * weight[:, None]).sum(dim=2) * (weight > 0.0)
     best = total.argmax(dim=1, keepdim=True)
     mode = angle.gather(1, best)
@@ -141,7 +150,7 @@ def _find_mode(angle: torch.Tensor, weight: torch.Tensor) -> tuple[torch.Tensor,
         robust = member / (1.0 + (missed / headings.SCALE_RAD).square())
         mode = mode + (robust * missed).sum(dim=1, keepdim=True) / robust.sum(dim=1, keepdim=True)
     square = (robust * wrap(angle - mode).square()).sum(dim=1) / robust.sum(dim=1)
-    return mode[:, 0], (square + headings.FLOOR_RAD**2).sqrt(), total.gather(1, best)[:, 0]
+    return mode[:, 0], (square + headings.MIN_SPREAD_RAD**2).sqrt(), total.gather(1, best)[:, 0]
 
 
 def wrap(angle: torch.Tensor) -> torch.Tensor:
@@ -184,10 +193,10 @@ class ConfidenceModule(nn.Module):
     def forward(self, features: torch.Tensor, position: torch.Tensor) -> dict[str, torch.Tensor]:
         """Parts of ``Poses`` by name, of images with features (B, K) whose camera was at positions (B, 2) [m]."""
         away = (position[:, None] - self.place).square().sum(dim=2)
-        rows = away.topk(min(confidence.NEAREST, len(self.place)), largest=False).indices
+        rows = away.topk(min(confidence.NEAREST_ENTRIES, len(self.place)), largest=False).indices
         unlike = self.known[rows].float() * self.scale - features[:, None, : len(self.scale)]
         distance = unlike.square().sum(dim=2).sqrt()
-        alike = distance.topk(min(confidence.ALIKE, distance.shape[1]), largest=False).values
+        alike = distance.topk(min(confidence.SIMILAR_ENTRIES, distance.shape[1]), largest=False).values
         novelty = (alike.mean(dim=1) * self.metres[rows].mean(dim=1)).double()
         found = {"novelty": novelty, "accepted": novelty <= self.threshold_m}
         if not self.gives_radii:

@@ -28,7 +28,7 @@ FILES = re.compile(
     rf"({'|'.join(WRITE)})/(training|use)/\w+\.({'|'.join(WRITE)})|mcap/(training|use)\.mcap|onnx/(model\.onnx|meta\.json|tables\.npz|example\.py)|export\.json"
 )
 EXPORT = Kind("export", "onnx/model.onnx", lambda: FILES)
-ABOUT = "export.json"  # The file that says which run is exported
+ABOUT_FILE = "export.json"  # The file that says which run is exported
 
 
 def default_folder(run: Path) -> Path:
@@ -79,7 +79,7 @@ def _claim(run: Run, folder: Path) -> Iterator[None]:
     """Hold an export folder for this run; raise InputError if it holds files of another run, which would be mixed."""
     with hold(folder, EXPORT):
         sweep(folder, FILES)
-        path, own = folder / ABOUT, str(run.folder.resolve())
+        path, own = folder / ABOUT_FILE, str(run.folder.resolve())
         begun = path.is_file()
         if begun and (held := read_json(path).get("run")) != own:
             raise InputError(f"--out {folder} holds an export of the run {held}, not of {own}; choose another folder")
@@ -93,7 +93,7 @@ def _claim(run: Run, folder: Path) -> Iterator[None]:
 
 
 MODEL, META, TABLES, EXAMPLE = "model.onnx", "meta.json", "tables.npz", "example.py"
-MOST_BYTES = 20_000_000  # Largest folder that is written
+MAX_BYTES = 20_000_000  # Largest folder that is written
 OUTPUTS = {
     "position": "x, y of the robot [m]",
     "position_std": "standard deviation of the position along one axis by the map alone [m]",
@@ -126,8 +126,8 @@ def write_onnx(
     model, names = build_model(positioner, alignment)
     tables = make_tables(positioner, raw)
     size = len(model) + sum(table.nbytes for table in tables.values())
-    if size > MOST_BYTES:
-        raise WorkError(f"--onnx: the folder would have {write_size(size)}, and at most {write_size(MOST_BYTES)} fit")
+    if size > MAX_BYTES:
+        raise WorkError(f"--onnx: the folder would have {write_size(size)}, and at most {write_size(MAX_BYTES)} fit")
     write_atomic(folder / MODEL, lambda part: part.write_bytes(model), len(model))
     write_arrays(folder / TABLES, tables)
     write_text(folder / EXAMPLE, Path(__file__).with_name(EXAMPLE).read_text(encoding="utf-8"))

@@ -154,10 +154,10 @@ def make_tracker(run: Run, method: str | None) -> "Tracker":
     return Tracker(headings.chirality < 0)
 
 
-WAY, STILL_M = 0.01, 0.001  # Standard deviation of the way between two images, as a part of it and at least [m]
-AT_REST_M, AT_REST_RAD = 1e-4, 1e-3
+DISTANCE_STD_SHARE, MIN_DISTANCE_STD_M = 0.01, 0.001  # Of the way between two images, as a part of it and at least [m]
+REST_DISTANCE_M, REST_TURN_RAD = 1e-4, 1e-3
 """Way and turn between two images up to which the robot rests, so that they share all their errors [m], [rad]."""
-SLIP, STILL_RAD = 0.1, 0.01  # Standard deviation of the turn between two images, as a part of it and at least [rad]
+TURN_STD_SHARE, MIN_TURN_STD_RAD = 0.1, 0.01  # Of the turn between two images, as a part of it and at least [rad]
 
 
 class Tracker:
@@ -189,13 +189,13 @@ class Tracker:
         way, turn = travelled_m - self._travelled_m, yaw - self._yaw
         if not np.isfinite([way, turn]).all():
             return None
-        rests = abs(way) < AT_REST_M and abs(turn) < AT_REST_RAD
+        rests = abs(way) < REST_DISTANCE_M and abs(turn) < REST_TURN_RAD
         # The robot turns and drives at the same time: half of the turn comes first.
         motion = make_motion(
             way * np.cos(turn / 2),
             way * np.sin(turn / 2),
             turn,
-            WAY * abs(way) + (0.0 if rests else STILL_M),
-            SLIP * abs(turn) + (0.0 if rests else STILL_RAD),
+            DISTANCE_STD_SHARE * abs(way) + (0.0 if rests else MIN_DISTANCE_STD_M),
+            TURN_STD_SHARE * abs(turn) + (0.0 if rests else MIN_TURN_STD_RAD),
         )
         return mirror(motion) if self._mirrored else motion

@@ -15,7 +15,7 @@ from deepgps.config.scenario import (
     flatten,
     override_scenario,
 )
-from deepgps.config.setting_problems import MOST_PROBLEMS, join_problems
+from deepgps.config.setting_problems import MAX_PROBLEMS, join_problems
 from deepgps.runs.inputs import digest, digest_recording, read_room
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.study import Point, Study
@@ -53,7 +53,7 @@ def plan_runs(study: Study, progress: Report = ignore) -> list[Plan]:
             break
     if problems:
         stopped = f"; only the first {done + 1} of {total} runs were looked at" if wrong >= MOST_WRONG else ""
-        text = join_problems(list(problems)[:MOST_PROBLEMS], len(problems))
+        text = join_problems(list(problems)[:MAX_PROBLEMS], len(problems))
         raise InputError(f"study {study.name}: {text}{stopped}")
     progress("plan", total, total)
     _refuse_twins(study, plans)

@@ -12,7 +12,7 @@ from pydantic import AfterValidator, Field, ValidationError, model_validator
 from deepgps.config.learning import one_of
 from deepgps.config.plain_yaml import read_yaml
 from deepgps.config.scenario import (
-    LONGEST_NAME,
+    MAX_NAME_LETTERS,
     NAME,
     MethodName,
     clean_name,
@@ -167,7 +167,7 @@ def _replace(study: Study, other: Variation, kind: str) -> Study:
     given = {name: getattr(other, name) for name in other.model_fields_set}
     given |= {
         "set": {**study.set, **other.set},
-        "name": f"{study.name[: LONGEST_NAME - 5]}-{kind}",
+        "name": f"{study.name[: MAX_NAME_LETTERS - 5]}-{kind}",
         "tiny": {},
         "full": None,
     }

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from deepgps.data.turns import MOST_TURNS, adapt_upright, compare_images, find_in_place, ignore_small, turns_with_images
+from deepgps.data.turns import MAX_TURNS, adapt_upright, compare_images, find_in_place, ignore_small, turns_with_images
 from deepgps.positioner.confidence import Confidence
 from deepgps.positioner.positioner import FeaturePositioner, Positioner
 from deepgps.tracking.comparison import (
@@ -246,7 +246,7 @@ def measure_upright(recording: Recording) -> Upright | None:
     turns = turns_with_images(recording)
     if turns is None or not len(rows := find_in_place(turns)):
         return None
-    some = turns.array[rows[:: -(-len(rows) // MOST_TURNS)]]
+    some = turns.array[rows[:: -(-len(rows) // MAX_TURNS)]]
     return ignore_small(compare_images(recording, from_array(some)).upright)
 
 

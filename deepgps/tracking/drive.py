@@ -12,11 +12,11 @@ import numpy as np
 
 from deepgps.data.segments import dead_reckon, find_runs, travel
 from deepgps.data.turns import (
-    BACKED_OFF_M,
-    MEETING_M,
-    UNKNOWN_M,
-    UNKNOWN_RAD,
-    WHEELS_RAD,
+    BACK_OFF_STD_M,
+    MEETING_STD_M,
+    UNKNOWN_STD_M,
+    UNKNOWN_STD_RAD,
+    WHEEL_TURN_STD_RAD,
     CompassTurns,
     measure_turns,
     turns_with_images,
@@ -81,13 +81,13 @@ def measure_wheel_turns(recording: Recording) -> CompassTurns:
     before, after = (pose[[run[end] for run in part]] for part, end in ((runs[:-1], -1), (runs[1:], 0)))
     angle = after[:, 2] - before[:, 2]
     jump = (rotate(-before[:, 2]) @ (after - before)[:, :2, None])[..., 0]
-    jump_std = np.where(np.abs(jump).max(axis=1, initial=0.0) > MEETING_M, BACKED_OFF_M, MEETING_M)
+    jump_std = np.where(np.abs(jump).max(axis=1, initial=0.0) > MEETING_STD_M, BACK_OFF_STD_M, MEETING_STD_M)
     unknown = np.zeros(len(angle), bool)
     if recording.turns is not None:
         carried = recording.turns.after[recording.turns.kind == KINDS.index("relocated")]
         unknown |= np.isin([run[0] for run in runs[1:]], carried)
-    angle_std = np.where(unknown, UNKNOWN_RAD, WHEELS_RAD)
-    return CompassTurns(angle, angle_std, jump, np.where(unknown, UNKNOWN_M, jump_std))
+    angle_std = np.where(unknown, UNKNOWN_STD_RAD, WHEEL_TURN_STD_RAD)
+    return CompassTurns(angle, angle_std, jump, np.where(unknown, UNKNOWN_STD_M, jump_std))
 
 
 def find_shared(recording: Recording) -> dict[int, int]:
@@ -155,7 +155,7 @@ def _add_turn(
     ``number`` is that of the recording's turn which ends at the image from before it, with no segment without a way
     between; None: there is none.
     """
-    if turns.angle_std[row] >= UNKNOWN_RAD or turns.jump_std[row] >= UNKNOWN_M:
+    if turns.angle_std[row] >= UNKNOWN_STD_RAD or turns.jump_std[row] >= UNKNOWN_STD_M:
         return None
     jump = make_motion(*turns.jump[row].tolist(), step_std_m=float(turns.jump_std[row]))
     turn = make_motion(0.0, turn_rad=float(turns.angle[row]), turn_std_rad=float(turns.angle_std[row]))

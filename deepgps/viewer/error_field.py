@@ -17,7 +17,7 @@ from scipy.spatial import KDTree
 from deepgps.config.methods import title_of
 from deepgps.evaluation.error_field import ErrorField, WorstField, find_worst, split_by_acceptance
 from deepgps.evaluation.measures import find_seen
-from deepgps.reports.plots import REFUSED, colours_of
+from deepgps.reports.plots import REFUSED_COLOUR, colours_of
 from deepgps.viewer.read import COLUMNS
 from deepgps.viewer.scene import LAYER_M, lift
 from deepgps.viewer.stream import Rows, put
@@ -50,7 +50,7 @@ def log_field(stream: rr.RecordingStream, name: str, field: ErrorField, at: Rows
     for part, chosen in zip(PARTS, (large, ~large), strict=True):
         some = accepted.take(chosen)
         _log_arrows(stream, f"{path}/worst/{part}", name, some, colours_of(some.error), describe_errors(some), thin, at)
-    grey = np.array([[*(round(255 * one) for one in to_rgb(REFUSED)), 255]], np.uint8)
+    grey = np.array([[*(round(255 * one) for one in to_rgb(REFUSED_COLOUR)), 255]], np.uint8)
     said = [f"refused: {one}" for one in describe_errors(refused)]
     _log_arrows(stream, f"{path}/worst/{REFUSED_PART}", name, refused, grey, said, thin, at)
     if not at:

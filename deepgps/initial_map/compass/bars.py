@@ -10,17 +10,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deepgps.data.segments import SHORTEST_M, Segments
+from deepgps.data.segments import MIN_DISTANCE_M, Segments
 from deepgps.data.turns import CompassTurns
 
-SHARED = 3  # Unknowns of all bars: curvature [1 / m], the camera's place ahead and to the left of the axle [m]
-BENT_M = 0.01  # A segment is cut where its readings may be further from even scaling than this [m]
-CONTINUED_M, CONTINUED_RAD = 1e-4, 1e-4
+SHARED_UNKNOWNS = 3  # Unknowns of all bars: curvature [1 / m], the camera's place ahead and to the left of the axle [m]
+MAX_BEND_M = 0.01  # A segment is cut where its readings may be further from even scaling than this [m]
+CONTINUATION_STD_M, CONTINUATION_STD_RAD = 1e-4, 1e-4
 """Standard deviations of where, and in which direction, a bar continues another of the same segment."""
-RIGID, WRONG = 1e-3, 0.7
+MIN_LENGTH_STD, MAX_LENGTH_STD = 1e-3, 0.7
 """Smallest and largest standard deviation of the logarithm of a bar's length. Where the wheels disagree, it is the
 largest: a wheel that sticks halves the length."""
-OF_AXLE, OF_CAMERA = slice(0, 4), slice(0, 6)
+AXLE_UNKNOWNS, CAMERA_UNKNOWNS = slice(0, 4), slice(0, 6)
 """Unknowns, in the order of ``derive``, on which the places of the axle and of the camera depend."""
 
 
@@ -51,7 +51,7 @@ class Bars:
     @property
     def count(self) -> int:
         """Number of unknowns."""
-        return self.unknown.size + SHARED
+        return self.unknown.size + SHARED_UNKNOWNS
 
     @property
     def heading(self) -> np.ndarray:
@@ -73,8 +73,8 @@ class Bars:
 
     def move(self, step: np.ndarray) -> None:
         """Add a step (count,) to the unknowns."""
-        self.unknown = self.unknown + step[:-SHARED].reshape(-1, 4)
-        self.shared = self.shared + step[-SHARED:]
+        self.unknown = self.unknown + step[:-SHARED_UNKNOWNS].reshape(-1, 4)
+        self.shared = self.shared + step[-SHARED_UNKNOWNS:]
 
     def draw_unevenness(self, samples: int, rng: np.random.Generator) -> np.ndarray:
         """Samples (r, 2, samples) [m] of what readings err along their bars once the scales of these are right."""
@@ -97,7 +97,7 @@ class Bars:
             ],
             axis=1,
         )
-        of_all = np.broadcast_to(self.unknown.size + np.arange(SHARED), (len(reading), SHARED))
+        of_all = np.broadcast_to(self.unknown.size + np.arange(SHARED_UNKNOWNS), (len(reading), SHARED_UNKNOWNS))
         columns = np.stack(
             [np.column_stack([4 * bar + axis, 4 * bar + 2, 4 * bar + 3, of_all]) for axis in range(2)], 1
         )
@@ -127,9 +127,9 @@ def lay_out(segments: Segments, turns: CompassTurns, curvature: float) -> Bars:
     begin, end = (segment, span[:, 0]), (segment, span[:, 1])
     length = distance[end] - distance[begin]
     squared = variance[end] - variance[begin] + segments.rounding_m2
-    scale_std = (np.sqrt(squared) / length.clip(SHORTEST_M)).clip(RIGID, WRONG)
+    scale_std = (np.sqrt(squared) / length.clip(MIN_DISTANCE_M)).clip(MIN_LENGTH_STD, MAX_LENGTH_STD)
     if segments.weight is not None:
-        scale_std[segments.weight.numpy()[segment] < 0.5] = WRONG
+        scale_std[segments.weight.numpy()[segment] < 0.5] = MAX_LENGTH_STD
     along = distance[segment[row], column] - distance[begin][row]
     grown = variance[segment[row], column] - variance[begin][row]
     bars = Bars(
@@ -140,7 +140,7 @@ def lay_out(segments: Segments, turns: CompassTurns, curvature: float) -> Bars:
         last,
         segment,
         scale_std,
-        _expect_unevenness(along / length.clip(SHORTEST_M)[row], grown, segments.rounding_m2, last[row]),
+        _expect_unevenness(along / length.clip(MIN_DISTANCE_M)[row], grown, segments.rounding_m2, last[row]),
         np.zeros((len(span), 4)),
         np.array([curvature, 0.0, 0.0]),
     )
@@ -164,7 +164,7 @@ def expand(bars: Bars, values: np.ndarray, within: float) -> np.ndarray:
 def _cut(variance: np.ndarray) -> np.ndarray:
     gaps = len(variance) - 1
     # Between ends that are known, errors that add up are largest in the middle: half of the root of their sum.
-    bars = max(min(int(np.ceil(variance[-1] / (2.0 * BENT_M) ** 2)), gaps), 1)
+    bars = max(min(int(np.ceil(variance[-1] / (2.0 * MAX_BEND_M) ** 2)), gaps), 1)
     edges = np.rint(np.linspace(0, gaps, bars + 1)).astype(int)
     return np.stack([edges[:-1], edges[1:]], axis=1)
 

@@ -17,23 +17,24 @@ from deepgps.initial_map.compass.bars import Bars, turn
 from sim.geometry import wrap
 
 GATE = 4.0  # Standard deviations within which a loop closure is believed
-SURE_M, FAR_M, FURTHEST_M = 0.3, 0.5, 2.0
-"""A gate below ``SURE_M`` means that the distance of the two observations is known; above ``FAR_M`` they only look
-alike. No gate is wider than ``FURTHEST_M`` [m]."""
-REPEATS, ENOUGH = 0.02, 20
-"""The world repeats after a distance d if at least ``ENOUGH`` closures have a known distance, and ``REPEATS`` of these
-only look alike and are no more than d apart."""
-LOOK, LOOK_PER_M = 0.22, 0.62
+KNOWN_GATE_M, VAGUE_GATE_M, MAX_GATE_M = 0.3, 0.5, 2.0
+"""A gate below ``KNOWN_GATE_M`` means that the distance of the two observations is known; above ``VAGUE_GATE_M`` they
+only look alike. No gate is wider than ``MAX_GATE_M`` [m]."""
+REPEAT_SHARE, MIN_KNOWN_CLOSURES = 0.02, 20
+"""The world repeats after a distance d if at least ``MIN_KNOWN_CLOSURES`` closures have a known distance, and
+``REPEAT_SHARE`` of these only look alike and are no more than d apart."""
+LOOK_STD, LOOK_STD_PER_M = 0.22, 0.62
 """Standard deviation of a loop closure: in one place, in steps between readings, and per metre between its ends."""
-WIDTH = 3.0  # Standard deviations at which a loop closure has lost three quarters of its weight
-TURNED_RAD, TURNED_PER_M, ASIDE_RAD = np.radians(0.2), np.radians(13.0), 0.35
+ROBUST_SCALE = 3.0  # Standard deviations at which a loop closure has lost three quarters of its weight
+HEADING_STD_RAD, HEADING_STD_RAD_PER_M, MAX_HEADING_DIFFERENCE_RAD = np.radians(0.2), np.radians(13.0), 0.35
 """Standard deviation of a loop closure's relative heading in one place, and for each metre between its ends. A closure
-whose heading differs from the map's by more than ``ASIDE_RAD`` is false."""
-FEW, HALF = 4, 0.5
-"""A segment is doubted if it has at least ``FEW`` loop closures and less than ``HALF`` of these are believed."""
-CROSSING, CONTRADICTED = 10, 0.1
-"""A turn is wrong if at least ``CROSSING`` loop closures connect what was driven before and after it, and no more than
-``CONTRADICTED`` of these are believed."""
+whose heading differs from the map's by more than ``MAX_HEADING_DIFFERENCE_RAD`` is false."""
+MIN_CLOSURES, MIN_INLIER_SHARE = 4, 0.5
+"""A segment is doubted if it has at least ``MIN_CLOSURES`` loop closures and less than ``MIN_INLIER_SHARE`` of these
+are believed."""
+MIN_CROSSING_CLOSURES, MAX_CROSSING_INLIER_SHARE = 10, 0.1
+"""A turn is wrong if at least ``MIN_CROSSING_CLOSURES`` loop closures connect what was driven before and after it, and
+no more than ``MAX_CROSSING_INLIER_SHARE`` of these are believed."""
 
 
 @dataclass(frozen=True)
@@ -78,11 +79,11 @@ def link(bars: Bars, closures: Closures, observations: int) -> Links:
         number,
         one[number],
         other[number],
-        (LOOK * step) ** 2
-        + (LOOK_PER_M * length) ** 2
+        (LOOK_STD * step) ** 2
+        + (LOOK_STD_PER_M * length) ** 2
         + (bars.uneven_m2[one[number]] + bars.uneven_m2[other[number]]) / 2.0,
         closures.turn[number],
-        np.hypot(TURNED_RAD, TURNED_PER_M * length),
+        np.hypot(HEADING_STD_RAD, HEADING_STD_RAD_PER_M * length),
     )
 
 
@@ -90,26 +91,26 @@ def believe(bars: Bars, error: np.ndarray, part: np.ndarray, links: Links, narro
     """Believe the loop closures within the gate, if the gate is narrower than half of where the world repeats.
 
     Samples of the errors of readings' positions are (r, 2, k) [m]. Between parts of the drive, as bars (B,) have them,
-    none is believed. ``narrow``: only gates below ``SURE_M`` count, which need not know after what distance the world
-    repeats.
+    none is believed. ``narrow``: only gates below ``KNOWN_GATE_M`` count, which need not know after what distance the
+    world repeats.
     """
     _, heading, _, point = bars.locate(slice(None))
     squared = ((point[links.one] - point[links.other]) ** 2).sum(axis=1)
     known = ((error[links.one] - error[links.other]) ** 2).mean(axis=2).sum(axis=1) / 2.0
     away = np.nan_to_num(wrap(heading[links.other] - heading[links.one] - links.turn))
-    possible = (part[bars.row[links.one]] == part[bars.row[links.other]]) & (np.abs(away) < ASIDE_RAD)
+    possible = (part[bars.row[links.one]] == part[bars.row[links.other]]) & (np.abs(away) < MAX_HEADING_DIFFERENCE_RAD)
     gate = GATE * np.sqrt(2.0 * known)
-    sure = np.concatenate([np.sqrt(squared[possible & (gate < SURE_M)]), _measure_twins(error, point, links)])
+    sure = np.concatenate([np.sqrt(squared[possible & (gate < KNOWN_GATE_M)]), _measure_twins(error, point, links)])
     repeats_m = _find_repeat(sure)
-    reach = SURE_M if narrow else limit_gate(repeats_m)
+    reach = KNOWN_GATE_M if narrow else limit_gate(repeats_m)
     believed = possible & (gate < reach) & (squared < 2.0 * GATE**2 * (known + links.variance))
-    place = (1.0 + squared / (2.0 * WIDTH**2 * links.variance)) ** -2.0
-    return Belief(believed, place, (1.0 + (away / (WIDTH * links.turn_std)) ** 2) ** -2.0, repeats_m)
+    place = (1.0 + squared / (2.0 * ROBUST_SCALE**2 * links.variance)) ** -2.0
+    return Belief(believed, place, (1.0 + (away / (ROBUST_SCALE * links.turn_std)) ** 2) ** -2.0, repeats_m)
 
 
 def limit_gate(repeats_m: float) -> float:
     """Width of the widest gate [m]: half of the distance after which the world repeats."""
-    return float(np.clip(repeats_m / 2.0, SURE_M, FURTHEST_M))
+    return float(np.clip(repeats_m / 2.0, KNOWN_GATE_M, MAX_GATE_M))
 
 
 def _measure_twins(error: np.ndarray, point: np.ndarray, links: Links) -> np.ndarray:
@@ -119,16 +120,16 @@ def _measure_twins(error: np.ndarray, point: np.ndarray, links: Links) -> np.nda
     same = np.diff(of[order]) == 0
     first, second = end[order][:-1][same], end[order][1:][same]
     known = ((error[first] - error[second]) ** 2).mean(axis=2).sum(axis=1)
-    sure = GATE * np.sqrt(known) < SURE_M
+    sure = GATE * np.sqrt(known) < KNOWN_GATE_M
     return np.linalg.norm(point[first[sure]] - point[second[sure]], axis=1)
 
 
 def _find_repeat(apart: np.ndarray) -> float:
     """Distance [m] after which the world repeats, from well-known distances (k,) between look-alikes; 0: unknown."""
-    if len(apart) < ENOUGH:
+    if len(apart) < MIN_KNOWN_CLOSURES:
         return 0.0
-    far = np.sort(apart[apart > FAR_M])
-    few = int(np.ceil(REPEATS * len(apart)))
+    far = np.sort(apart[apart > VAGUE_GATE_M])
+    few = int(np.ceil(REPEAT_SHARE * len(apart)))
     return float(far[few]) if len(far) > few else np.inf
 
 
@@ -152,7 +153,11 @@ def find_contradicted(bars: Bars, part: np.ndarray, links: Links, belief: Belief
         return np.cumsum(change)[:-1]
 
     across = count(same)
-    return (across >= CROSSING) & (count(same & belief.believed) < CONTRADICTED * across) & (np.diff(bars.segment) > 0)
+    return (
+        (across >= MIN_CROSSING_CLOSURES)
+        & (count(same & belief.believed) < MAX_CROSSING_INLIER_SHARE * across)
+        & (np.diff(bars.segment) > 0)
+    )
 
 
 def find_doubted(bars: Bars, links: Links, belief: Belief) -> np.ndarray:
@@ -161,13 +166,13 @@ def find_doubted(bars: Bars, links: Links, belief: Belief) -> np.ndarray:
     segments = bars.segment[-1] + 1
     count = np.bincount(ends, minlength=segments)
     agreed = np.bincount(ends, np.tile(belief.believed, 2), segments)
-    return (count >= FEW) & (agreed < HALF * count)
+    return (count >= MIN_CLOSURES) & (agreed < MIN_INLIER_SHARE * count)
 
 
-AGREE_M, AGREE_RAD = 0.3, 0.2  # How far loop closures that agree may place a part apart
-LEAST = 4  # Loop closures that must agree
-CLEAR = 2.0  # So many times as many must agree on the best placement as on any other
-MOST = 200  # Most loop closures of two parts that are tried as placements
+AGREEMENT_M, AGREEMENT_RAD = 0.3, 0.2  # How far loop closures that agree may place a part apart
+MIN_AGREEING_CLOSURES = 4  # Loop closures that must agree
+MIN_VOTE_RATIO = 2.0  # So many times as many must agree on the best placement as on any other
+MAX_TRIED_CLOSURES = 200  # Most loop closures of two parts that are tried as placements
 
 
 class Placement(NamedTuple):
@@ -191,7 +196,7 @@ def join_parts(bars: Bars, part: np.ndarray, links: Links) -> np.ndarray:
     low, high = np.minimum(one, other)[across], np.maximum(one, other)[across]
     _, number, count = np.unique(low * (part.max() + 1) + high, return_inverse=True, return_counts=True)
     for pair in np.argsort(-count):
-        if count[pair] < max(LEAST, len(best) + 1):
+        if count[pair] < max(MIN_AGREEING_CLOSURES, len(best) + 1):
             break
         agreeing, placement = _vote(bars, part, links, across[number == pair])
         if len(agreeing) > len(best):
@@ -214,17 +219,17 @@ def _vote(bars: Bars, part: np.ndarray, links: Links, of: np.ndarray) -> tuple[n
     angle = heading[there] - heading[here] + np.where(swapped, -links.turn[of], links.turn[of])
     middle = camera[here].mean(axis=0)
     target = camera[there] - turn(angle, camera[here] - middle)  # where each puts the middle
-    tried = np.linspace(0, len(of) - 1, min(MOST, len(of))).astype(int)
-    agrees = (np.linalg.norm(target[tried, None] - target, axis=2) < AGREE_M) & (
-        np.abs(wrap(angle[tried, None] - angle)) < AGREE_RAD
+    tried = np.linspace(0, len(of) - 1, min(MAX_TRIED_CLOSURES, len(of))).astype(int)
+    agrees = (np.linalg.norm(target[tried, None] - target, axis=2) < AGREEMENT_M) & (
+        np.abs(wrap(angle[tried, None] - angle)) < AGREEMENT_RAD
     )
     votes = agrees.sum(axis=1)
     top = votes.argmax()
     rival = ~(
-        (np.linalg.norm(target[tried] - target[tried[top]], axis=1) < 2.0 * AGREE_M)
-        & (np.abs(wrap(angle[tried] - angle[tried[top]])) < 2.0 * AGREE_RAD)
+        (np.linalg.norm(target[tried] - target[tried[top]], axis=1) < 2.0 * AGREEMENT_M)
+        & (np.abs(wrap(angle[tried] - angle[tried[top]])) < 2.0 * AGREEMENT_RAD)
     )
-    if votes[top] < LEAST or votes[top] < CLEAR * votes[rival].max(initial=0):
+    if votes[top] < MIN_AGREEING_CLOSURES or votes[top] < MIN_VOTE_RATIO * votes[rival].max(initial=0):
         return np.empty(0, int), None
     inside = agrees[top]
     mean = np.angle(np.exp(1j * angle[inside]).mean())

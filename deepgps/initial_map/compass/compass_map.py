@@ -12,7 +12,7 @@ import numpy as np
 
 from deepgps.data.segments import Segments
 from deepgps.data.turns import CompassTurns
-from deepgps.initial_map.compass.bars import SHARED, Bars, lay_out
+from deepgps.initial_map.compass.bars import SHARED_UNKNOWNS, Bars, lay_out
 from deepgps.initial_map.compass.closures import (
     GATE,
     Belief,
@@ -40,17 +40,20 @@ from deepgps.initial_map.compass.least_squares import (
 )
 
 NEIGHBOURS = 3
-ROUNDS, LATELY, GROWN = 20, 5, 0.1
-"""Most rounds after the map has grown. It grows while this part more loop closures are believed than ``LATELY`` rounds
-before: in a long drive, each drift can be seen only after shorter ones are mended."""
+MAX_ROUNDS, GROWTH_ROUNDS, MIN_GROWTH = 20, 5, 0.1
+"""Most rounds after the map has grown. It grows while this part more loop closures are believed than ``GROWTH_ROUNDS``
+rounds before: in a long drive, each drift can be seen only after shorter ones are mended."""
 ATTEMPTS = 10  # Times that parts are joined although they have come apart again when refined
-SETTLED_M, SETTLED = 0.001, 0.001
+CONVERGENCE_M, CONVERGENCE_SHARE = 0.001, 0.001
 """The map is finished once no round moves it further than this [m], or changes this part of the closures believed."""
-CUT_RAD, CUT_M = 0.15, 0.5  # A turn, or a way between two segments, that is known less well cuts the drive into parts
+CUT_STD_RAD, CUT_STD_M = (
+    0.15,
+    0.5,
+)  # A turn, or a way between two segments, that is known less well cuts the drive into parts
 RECUTS = 3  # Times that turns which loop closures contradict are cut
-UNDERSTATED = 1.5  # Where lengths err so many times more than expected, the map is made again with shorter bars
-LARGEST_TURN = 0.5
-STAGES = 8  # Most stages of the map's making that are kept; the first rounds move it most, and most of these are kept
+UNDERSTATED_RATIO = 1.5  # Where lengths err so many times more than expected, the map is made again with shorter bars
+MAX_TURN = 0.5
+MAX_STAGES = 8  # Of the map's making, kept: the first rounds move it most, and most of these are kept
 
 
 @dataclass(frozen=True)
@@ -99,7 +102,7 @@ def find_compass_map(
     and ``curvature`` [1 / m] is that of what the robot drives for straight, as far as it is known before the map.
     """
     bars, links, fit = _find(segments, turns, closures, observations, rng, curvature)
-    if fit.scale.length > UNDERSTATED:  # bars are too long for readings that err so much more
+    if fit.scale.length > UNDERSTATED_RATIO:  # bars are too long for readings that err so much more
         assert segments.variance is not None
         variance, rounding_m2 = (part * fit.scale.length**2 for part in (segments.variance, segments.rounding_m2))
         segments = replace(segments, variance=variance, rounding_m2=rounding_m2)
@@ -117,7 +120,7 @@ def _find(
 ) -> tuple[Bars, Links, "_Fit"]:
     bars = lay_out(segments, turns, curvature)
     joints, links = make_joints(bars, turns), link(bars, closures, observations)
-    cut = (joints.angle_std > CUT_RAD) | (joints.jump_std > CUT_M)
+    cut = (joints.angle_std > CUT_STD_RAD) | (joints.jump_std > CUT_STD_M)
     fit = _fit(bars, joints, links, cut, curvature, rng)
     for _ in range(RECUTS):
         wrong = find_contradicted(bars, fit.part, links, fit.belief) & ~cut
@@ -178,27 +181,30 @@ def _refine(
     rng: np.random.Generator,
 ) -> None:
     """Move the bars by Gauss-Newton with robust weights until they rest, at first with narrow gates alone."""
-    narrow, believed, left = True, [0], ROUNDS
+    narrow, believed, left = True, [0], MAX_ROUNDS
     while left > 0:
         fit.part = find_parts(bars, links, cut, fit.belief)
         equations = Equations()
         add_odometry(equations, bars, joints, fit.part, cut, curvature, fit.scale)
         add_links(equations, bars, links, fit.belief)
         move, fit.samples = equations.solve(*hold_length(bars, links, fit.belief), rng)
-        angles = move[:-SHARED].reshape(-1, 4)[:, 2:]
-        angles[...] = angles.clip(-LARGEST_TURN, LARGEST_TURN)
+        angles = move[:-SHARED_UNKNOWNS].reshape(-1, 4)[:, 2:]
+        angles[...] = angles.clip(-MAX_TURN, MAX_TURN)
         before = bars.camera
         bars.move(move)
         fit.belief = believe(bars, carry(bars, fit.samples), fit.part, links, narrow)
         fit.scale = rescale(bars, joints, fit.part, cut, fit.samples, fit.scale)
         fit.keep(bars)
         believed.append(int(fit.belief.believed.sum()))
-        grows = believed[-1] > (1.0 + GROWN) * believed[max(-1 - LATELY, -len(believed))]
-        rests = np.abs(bars.camera - before).max() < SETTLED_M and abs(np.diff(believed[-2:])) <= SETTLED * believed[-1]
+        grows = believed[-1] > (1.0 + MIN_GROWTH) * believed[max(-1 - GROWTH_ROUNDS, -len(believed))]
+        rests = (
+            np.abs(bars.camera - before).max() < CONVERGENCE_M
+            and abs(np.diff(believed[-2:])) <= CONVERGENCE_SHARE * believed[-1]
+        )
         if rests and not narrow:
             break
         narrow = narrow and grows and not rests
-        left = ROUNDS if grows else left - 1
+        left = MAX_ROUNDS if grows else left - 1
 
 
 def _describe(
@@ -221,7 +227,7 @@ def _describe(
     doubted = find_doubted(bars, links, belief)
     undecided[bars.observation[doubted[bars.segment[bars.row]]]] = True
     stages = _thin_out(bars, links, fit, main, len(closures.first), observations)
-    shared_std = np.sqrt((samples[-SHARED:] ** 2).mean(axis=1))
+    shared_std = np.sqrt((samples[-SHARED_UNKNOWNS:] ** 2).mean(axis=1))
     return CompassMap(
         places,
         heading,
@@ -241,9 +247,9 @@ def _describe(
 def _thin_out(
     bars: Bars, links: Links, fit: _Fit, main: np.ndarray, closures: int, observations: int
 ) -> tuple[Stage, ...]:
-    """At most ``STAGES`` of a fit's rounds, the first and the last among them; readings of the ``main`` part first."""
+    """At most ``MAX_STAGES`` of a fit's rounds, with the first and the last; readings of the ``main`` part first."""
     rounds = len(fit.rounds)
-    chosen = np.unique(np.geomspace(1, rounds, min(STAGES, rounds)).round().astype(int)) - 1
+    chosen = np.unique(np.geomspace(1, rounds, min(MAX_STAGES, rounds)).round().astype(int)) - 1
     order = np.argsort(~main, kind="stable")
     seen, first = np.unique(bars.observation[order], return_index=True)
     first, stages = order[first], []

@@ -13,7 +13,16 @@ from scipy.sparse import csc_array, eye_array
 from scipy.sparse.linalg import SuperLU, splu
 
 from deepgps.data.turns import CompassTurns
-from deepgps.initial_map.compass.bars import CONTINUED_M, CONTINUED_RAD, OF_AXLE, OF_CAMERA, SHARED, Bars, expand, turn
+from deepgps.initial_map.compass.bars import (
+    AXLE_UNKNOWNS,
+    CAMERA_UNKNOWNS,
+    CONTINUATION_STD_M,
+    CONTINUATION_STD_RAD,
+    SHARED_UNKNOWNS,
+    Bars,
+    expand,
+    turn,
+)
 from deepgps.initial_map.compass.closures import Belief, Links
 from sim.geometry import wrap
 
@@ -63,12 +72,12 @@ class Equations:
         return step - along * (held @ step + excess), samples - along[:, None] * (held @ samples)
 
 
-FIXED = 1e-4  # Standard deviation that holds a part's first bar in place: the map may move and turn freely [m], [rad]
-CURVATURE, MOUNT_M = 0.01, 0.05
+ANCHOR_STD = 1e-4  # Holds a part's first bar in place: the map may move and turn freely [m], [rad]
+CURVATURE_STD, MOUNT_STD_M = 0.01, 0.05
 """Standard deviations of the curvature [1 / m] and of the camera's place off the axle [m], before the map."""
-KNOWN = 20  # The expected errors count as much as so many residuals when these are rescaled
-OUTLIER = 9.0  # Squared residuals, in variances, count at most this much when errors are rescaled
-MOST = 4.0  # Errors are rescaled at most by this factor, up or down
+PRIOR_RESIDUALS = 20  # The expected errors count as much as so many residuals when these are rescaled
+MAX_SQUARED_RESIDUAL = 9.0  # Squared residuals, in variances, count at most this much when errors are rescaled
+MAX_RESCALING = 4.0  # Errors are rescaled at most by this factor, up or down
 
 
 @dataclass(frozen=True)
@@ -98,9 +107,9 @@ def make_joints(bars: Bars, turns: CompassTurns) -> Joints:
         bars.first[1:],
         np.diff(bars.segment) > 0,
         expand(bars, turns.angle, 0.0),
-        expand(bars, turns.angle_std, CONTINUED_RAD),
+        expand(bars, turns.angle_std, CONTINUATION_STD_RAD),
         expand(bars, turns.jump, 0.0),
-        expand(bars, turns.jump_std, CONTINUED_M),
+        expand(bars, turns.jump_std, CONTINUATION_STD_M),
     )
 
 
@@ -118,14 +127,14 @@ def add_odometry(
     _add_turns(equations, bars, before, after, joints.angle[used], 1.0 / turn_std)
     begin, end = bars.locate(after), bars.locate(before)
     apart = begin.axle - end.axle - turn(end.heading, joints.jump[used])
-    _add_pairs(equations, bars, after, before, apart, 1.0 / joints.jump_std[used], OF_AXLE)
+    _add_pairs(equations, bars, after, before, apart, 1.0 / joints.jump_std[used], AXLE_UNKNOWNS)
     lengths = 4 * np.arange(len(bars.unknown))[:, None] + 3
     equations.add(lengths, np.ones(1), bars.unknown[:, 3], 1.0 / (bars.scale_std * scale.length))
     _, held = np.unique(part, return_index=True)
     fixed = (4 * held[:, None] + np.arange(3)).reshape(-1, 1)
-    equations.add(fixed, np.ones(1), np.zeros(len(fixed)), np.full(len(fixed), 1.0 / FIXED))
-    shared = bars.unknown.size + np.arange(SHARED)[:, None]
-    prior = 1.0 / np.array([CURVATURE, MOUNT_M, MOUNT_M])
+    equations.add(fixed, np.ones(1), np.zeros(len(fixed)), np.full(len(fixed), 1.0 / ANCHOR_STD))
+    shared = bars.unknown.size + np.arange(SHARED_UNKNOWNS)[:, None]
+    prior = 1.0 / np.array([CURVATURE_STD, MOUNT_STD_M, MOUNT_STD_M])
     equations.add(shared, np.ones(1), bars.shared - np.array([curvature, 0.0, 0.0]), prior)
 
 
@@ -135,7 +144,7 @@ def add_links(equations: Equations, bars: Bars, links: Links, belief: Belief) ->
     one, other = links.one[used], links.other[used]
     weight = np.sqrt(belief.place[used] / links.variance[used])
     apart = bars.locate(one).camera - bars.locate(other).camera
-    _add_pairs(equations, bars, one, other, apart, weight, OF_CAMERA)
+    _add_pairs(equations, bars, one, other, apart, weight, CAMERA_UNKNOWNS)
     used = used[np.isfinite(links.turn[used])]
     weight = np.sqrt(belief.turn[used]) / links.turn_std[used]
     _add_turns(equations, bars, links.one[used], links.other[used], links.turn[used], weight)
@@ -152,17 +161,17 @@ def rescale(bars: Bars, joints: Joints, part: np.ndarray, cut: np.ndarray, sampl
     residual = wrap(bars.locate(after).heading - bars.locate(before).heading - joints.angle[used])
     left = _carry_headings(bars, samples, after) - _carry_headings(bars, samples, before)
     turn_scale = _rescale(residual, left, joints.angle_std[used], scale.turn)
-    moved = samples[:-SHARED].reshape(*bars.unknown.shape, -1)[:, 3]
+    moved = samples[:-SHARED_UNKNOWNS].reshape(*bars.unknown.shape, -1)[:, 3]
     return Scale(turn_scale, _rescale(bars.unknown[:, 3], moved, bars.scale_std, scale.length))
 
 
 def _rescale(residual: np.ndarray, left: np.ndarray, std: np.ndarray, scale: float) -> float:
     variance = (scale * std) ** 2
     redundant = (1.0 - (left**2).mean(axis=1) / variance).clip(0.0, 1.0)
-    squared = np.minimum(residual**2 / variance, OUTLIER)
-    # in units of the errors as expected, whose weight is that of KNOWN residuals
-    factor = (squared.sum() * scale**2 + KNOWN) / (redundant.sum() + KNOWN)
-    return float(np.clip(np.sqrt(factor), 1.0 / MOST, MOST))
+    squared = np.minimum(residual**2 / variance, MAX_SQUARED_RESIDUAL)
+    # in units of the errors as expected, whose weight is that of PRIOR_RESIDUALS residuals
+    factor = (squared.sum() * scale**2 + PRIOR_RESIDUALS) / (redundant.sum() + PRIOR_RESIDUALS)
+    return float(np.clip(np.sqrt(factor), 1.0 / MAX_RESCALING, MAX_RESCALING))
 
 
 def hold_length(bars: Bars, links: Links, belief: Belief) -> tuple[np.ndarray, float]:
@@ -177,14 +186,14 @@ def hold_length(bars: Bars, links: Links, belief: Belief) -> tuple[np.ndarray, f
         pulled[bars.row[end[belief.believed]]] = 1.0
     length, scale = pulled * bars.along[bars.last], np.exp(bars.unknown[:, 3])
     held = np.zeros(bars.count)
-    held[3:-SHARED:4] = length * scale
+    held[3:-SHARED_UNKNOWNS:4] = length * scale
     return held, float(length @ (scale - 1.0))
 
 
 def carry(bars: Bars, samples: np.ndarray) -> np.ndarray:
     """Samples of the errors of readings' positions (r, 2, SAMPLES) [m] from those of the unknowns."""
     values = bars.derive(np.arange(len(bars.row)))[1][..., None]
-    moved, shared = samples[:-SHARED].reshape(*bars.unknown.shape, -1), samples[-SHARED:]
+    moved, shared = samples[:-SHARED_UNKNOWNS].reshape(*bars.unknown.shape, -1), samples[-SHARED_UNKNOWNS:]
     error = moved[bars.row, :2] + values[:, :, 3:, 0] @ shared
     for number in (2, 3):
         error += values[:, :, number - 1] * moved[bars.row, None, number]

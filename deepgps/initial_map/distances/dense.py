@@ -32,11 +32,11 @@ from deepgps.initial_map.distances.isomap import NEIGHBOURS, LoopClosures, find_
 from deepgps.initial_map.distances.pose_graph import PoseGraph, Relaxed, build_pose_graph, relax, relax_unevenly
 from sim.recording.format import Recording
 
-MODES, USED = 16, (2, 3, 4, 5)
+MODES, USED_MODES = 16, (2, 3, 4, 5)
 """Modes that are computed, and how many of those that spread over the map are used for each map that is tried."""
-SPREAD = 0.04
+MIN_MODE_SHARE = 0.04
 """Least share of the bars on which a mode must live; modes of fewer bars are those of bars that hang loose."""
-BELIEVED = (32.0, 16.0, 8.0, 4.0, 2.0)  # Scales of the robust weights, round by round, in steps between readings
+ROBUST_SCALES = (32.0, 16.0, 8.0, 4.0, 2.0)  # Scales of the robust weights, round by round, in steps between readings
 LENGTH_ROUNDS, LENGTH_ERROR = 5, 0.3
 """Rounds in which the slopes' lengths are fitted robustly, and the scale of their errors, relative to the length."""
 RIDGE = 1e-9
@@ -53,12 +53,12 @@ def find_affine_maps(count: int, segments: Segments, closures: LoopClosures) -> 
     """
     graph = _keep_largest_part(count, segments, closures)
     plain = _find_modes_if_any(graph, np.ones(len(graph.a)))
-    for used in USED:
+    for used in USED_MODES:
         places = _lay_out(graph, plain, used, count)
         if places is None:
             return
         yield places
-        for believed in BELIEVED:
+        for believed in ROBUST_SCALES:
             trust = (1.0 + _measure_gaps(graph, places) / (believed * graph.step) ** 2) ** -2
             robust = _lay_out(graph, _find_modes_if_any(graph, trust), used, count)
             if robust is None:
@@ -83,7 +83,7 @@ def find_modes(graph: PoseGraph, trust: np.ndarray) -> Modes:
     speed, modes = eigsh(held, min(MODES, bars - 1), normal, Minv=inverse, which="LM", v0=np.ones(2 * bars))
     modes = modes[:, np.argsort(-speed)]
     share = firm[:, None] * modes[bars:] ** 2
-    spread = share.sum(axis=0) ** 2 / (share**2).sum(axis=0).clip(1e-300) > SPREAD * bars
+    spread = share.sum(axis=0) ** 2 / (share**2).sum(axis=0).clip(1e-300) > MIN_MODE_SHARE * bars
     return modes[:bars, spread], modes[bars:, spread], firm
 
 
@@ -107,7 +107,7 @@ def find_plane(slope: np.ndarray, firm: np.ndarray) -> np.ndarray:
 
 
 def _find_modes_if_any(graph: PoseGraph, trust: np.ndarray) -> Modes | None:
-    if graph.bar[-1] < min(USED):
+    if graph.bar[-1] < min(USED_MODES):
         return None
     try:
         return find_modes(graph, trust)
@@ -201,7 +201,7 @@ def find_chirality(positions: np.ndarray, segments: Segments, angle: np.ndarray)
     return 1 if (np.sin(mapped) * np.sin(angle)).sum() >= 0.0 else -1
 
 
-OVERLAP = 0.1
+OVERLAP_SCALE = 0.1
 """Part of the observations that look unlike their neighbours on the map which counts as much as the whole cost."""
 
 
@@ -220,7 +220,7 @@ def find_initial_map(
 
     def judge(found: tuple[np.ndarray, float]) -> float:
         places, cost = found
-        return cost * (1.0 + measure_overlap(places, features, segments, generator.set_state(same)) / OVERLAP)
+        return cost * (1.0 + measure_overlap(places, features, segments, generator.set_state(same)) / OVERLAP_SCALE)
 
     best = min((relax(places, segments, graphs[0]) for places in rough), key=judge)[0]
     relaxed = relax_unevenly(best, segments, graphs[0], np.random.default_rng(generator.initial_seed()))

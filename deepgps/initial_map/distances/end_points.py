@@ -21,20 +21,20 @@ from sim.errors import InputError
 
 NEIGHBOURS = (5, 8, 12)
 """Neighbours in feature space of each place, for each map that is tried; the map that fits best is kept."""
-NEAR_M, SAME_M, SHORT_M = 0.3, 0.02, 0.5
+MAX_CLOSURE_M, MIN_CLOSURE_STD_M, MAX_SHORT_SEGMENT_M = 0.3, 0.02, 0.5
 """Largest estimated distance of a loop closure, its smallest standard deviation, and the longest short segment [m]."""
 CHUNK = 1000
 ROUNDS = 25
-BELIEVED_M = (1.0, 0.08)  # Scale of the robust weights in the first and the last round [m]
-BAR_M = (0.1, 0.01)  # Standard deviation of the bars' lengths in the first and the last round [m]
-ANCHOR_M, LARGEST_M = 0.3, 0.5
+ROBUST_SCALES_M = (1.0, 0.08)  # Scale of the robust weights in the first and the last round [m]
+BAR_STDS_M = (0.1, 0.01)  # Standard deviation of the bars' lengths in the first and the last round [m]
+ANCHOR_STD_M, MAX_STEP_M = 0.3, 0.5
 """Standard deviation of a place about its position a round before, and its largest step along each axis [m]."""
-MIXED, SMOOTH = 10, 0.05  # Number of similar places that make up each place, and the damping of their weights
-MIXTURE_ROUNDS, MIXTURE_BELIEVED_M, MIXTURE_M = 15, (0.5, 0.05), 0.03
+MIXTURE_SIZE, MIXTURE_DAMPING = 10, 0.05  # Similar places that make up each place, and the damping of their weights
+MIXTURE_ROUNDS, MIXTURE_SCALES_M, MIXTURE_STD_M = 15, (0.5, 0.05), 0.03
 """Rounds, scales of the robust weights in the first and the last [m], and standard deviation about the mixture [m]."""
-EXACT, MOST_STEPS = 1e-8, 2000
+SOLVER_TOLERANCE, MAX_SOLVER_STEPS = 1e-8, 2000
 """Residual at which conjugate gradients stop, relative to the right-hand side, and their largest number of steps."""
-WRONG_M = 0.05  # Unit of the errors when maps are compared; an error of more than twice this counts as twice this [m]
+ERROR_UNIT_M = 0.05  # Unit of the errors when maps are compared; an error counts at most as twice this [m]
 
 
 def find_end_point_map(
@@ -55,10 +55,10 @@ def find_end_point_map(
 def find_mixture(features: torch.Tensor) -> csr_array:
     """Weights (N, N) with which the features (N, K) of the most similar places make up each place's own features.
 
-    Each row sums to one and minimises ``|f_i - sum_j w_ij f_j|^2``, damped by ``SMOOTH`` times the mean square
+    Each row sums to one and minimises ``|f_i - sum_j w_ij f_j|^2``, damped by ``MIXTURE_DAMPING`` times the mean square
     difference.
     """
-    count, some = len(features), min(MIXED, len(features) - 1)
+    count, some = len(features), min(MIXTURE_SIZE, len(features) - 1)
     found = []
     for chunk in torch.arange(count).split(CHUNK):
         unlike = torch.cdist(features[chunk], features)
@@ -68,7 +68,7 @@ def find_mixture(features: torch.Tensor) -> csr_array:
     apart = (features[nearest] - features[:, None]).double()
     gram = apart @ apart.transpose(1, 2)
     size = gram.diagonal(dim1=1, dim2=2).mean(dim=1).clamp_min(1e-12)
-    gram = gram + SMOOTH * size[:, None, None] * torch.eye(some, dtype=gram.dtype)
+    gram = gram + MIXTURE_DAMPING * size[:, None, None] * torch.eye(some, dtype=gram.dtype)
     weight = torch.linalg.solve(gram, torch.ones((count, some, 1), dtype=gram.dtype))[..., 0]
     weight = weight / weight.sum(dim=1, keepdim=True)
     row = np.repeat(np.arange(count), some)
@@ -85,18 +85,18 @@ def fit_mixture(places: np.ndarray, segments: Segments, mixture: csr_array) -> n
     place = np.where(known[:, None], places, np.nanmean(places, axis=0))
     a, b, way = find_steps(segments)
     off_mixture = kron(eye_array(len(place)) - mixture, eye_array(2)).tocsr()
-    for believed in np.geomspace(*MIXTURE_BELIEVED_M, MIXTURE_ROUNDS):
+    for believed in np.geomspace(*MIXTURE_SCALES_M, MIXTURE_ROUNDS):
         bar = place[a] - place[b]
         length = np.linalg.norm(bar, axis=1).clip(1e-9)
         off, apart = length - way, (off_mixture @ place.ravel()).reshape(-1, 2)
-        trust = MIXTURE_M**-2 * (1.0 + (apart**2).sum(axis=1) / believed**2) ** -2
-        weight = np.concatenate([BAR_M[1] ** -2 * (1.0 + off**2 / believed**2) ** -2, np.repeat(trust, 2)])
+        trust = MIXTURE_STD_M**-2 * (1.0 + (apart**2).sum(axis=1) / believed**2) ** -2
+        weight = np.concatenate([BAR_STDS_M[1] ** -2 * (1.0 + off**2 / believed**2) ** -2, np.repeat(trust, 2)])
         none = np.empty(0, int)
         slope = vstack([_slope(a, b, bar / length[:, None], none, none, len(place)), off_mixture]).tocsc()
         weighted = slope.multiply(weight[:, None]).tocsc()
         normal = (slope.T @ weighted + eye_array(2 * len(place))).tocsc()
         step = -_solve(normal, weighted.T @ np.concatenate([off, apart.ravel()])).reshape(-1, 2)
-        place = place + step.clip(-LARGEST_M, LARGEST_M)
+        place = place + step.clip(-MAX_STEP_M, MAX_STEP_M)
     return np.where(known[:, None], place, np.nan)
 
 
@@ -115,7 +115,7 @@ def find_look_alikes(features: torch.Tensor, segments: Segments, neighbours: tup
     for some in neighbours:
         i = torch.arange(count)[:, None].expand(-1, near[:, :some].shape[1]).flatten()
         j, estimate = near[:, :some].flatten(), length[:, :some].flatten()
-        kept = torch.isin(i * count + j, j * count + i) & (i < j) & (estimate < NEAR_M)
+        kept = torch.isin(i * count + j, j * count + i) & (i < j) & (estimate < MAX_CLOSURE_M)
         found.append((i[kept].numpy(), j[kept].numpy(), estimate[kept].clamp_min(1e-3).numpy()))
     return found
 
@@ -127,14 +127,14 @@ def relax_ends(places: np.ndarray, segments: Segments, closures: LoopClosures) -
     McClure's robust weights ``w = s_l^-2 (1 + r^2 / b^2)^-2`` of residuals r at the scale b.
 
     Returns:
-        Places (N, 2) [m], and their misfit: mean squared residuals in units of ``WRONG_M``, each cut off at 4.
+        Places (N, 2) [m], and their misfit: mean squared residuals in units of ``ERROR_UNIT_M``, each cut off at 4.
     """
     known = np.asarray(np.isfinite(places).all(axis=1))
     number, place = np.cumsum(known) - 1, places[known].copy()
     a, b, way = _among(known, number, find_steps(segments))
     c, e, near = _among(known, number, closures)
-    size = np.hypot(near, SAME_M)
-    for believed, exact in zip(np.geomspace(*BELIEVED_M, ROUNDS), np.geomspace(*BAR_M, ROUNDS), strict=True):
+    size = np.hypot(near, MIN_CLOSURE_STD_M)
+    for believed, exact in zip(np.geomspace(*ROBUST_SCALES_M, ROUNDS), np.geomspace(*BAR_STDS_M, ROUNDS), strict=True):
         bar, apart = place[a] - place[b], place[c] - place[e]
         length = np.linalg.norm(bar, axis=1).clip(1e-9)
         off = length - way
@@ -146,11 +146,12 @@ def relax_ends(places: np.ndarray, segments: Segments, closures: LoopClosures) -
         )
         slope = _slope(a, b, bar / length[:, None], c, e, len(place))
         weighted = slope.multiply(weight[:, None]).tocsc()
-        normal = (slope.T @ weighted + diags_array(np.full(2 * len(place), ANCHOR_M**-2))).tocsc()
+        normal = (slope.T @ weighted + diags_array(np.full(2 * len(place), ANCHOR_STD_M**-2))).tocsc()
         step = -_solve(normal, weighted.T @ np.concatenate([off, apart.ravel()])).reshape(-1, 2)
-        place += step * np.minimum(1.0, LARGEST_M / np.linalg.norm(step, axis=1).clip(1e-9))[:, None]
+        place += step * np.minimum(1.0, MAX_STEP_M / np.linalg.norm(step, axis=1).clip(1e-9))[:, None]
     off, apart = np.linalg.norm(place[a] - place[b], axis=1) - way, np.linalg.norm(place[c] - place[e], axis=1)
-    cost = np.minimum((off / WRONG_M) ** 2, 4.0).mean() + np.minimum((apart / np.hypot(near, WRONG_M)) ** 2, 4.0).mean()
+    off, apart = off / ERROR_UNIT_M, apart / np.hypot(near, ERROR_UNIT_M)
+    cost = np.minimum(off**2, 4.0).mean() + np.minimum(apart**2, 4.0).mean()
     found = np.full_like(places, np.nan)
     found[known] = place
     return found, float(cost)
@@ -181,9 +182,11 @@ def _compare(
 
 def _fit_unlikeness(unlike: torch.Tensor, way: torch.Tensor) -> tuple[float, float]:
     far = float(unlike[way >= way.median()].median())
-    short = (way < SHORT_M) & (way > 0) & (unlike < 0.97 * far)
+    short = (way < MAX_SHORT_SEGMENT_M) & (way > 0) & (unlike < 0.97 * far)
     if not short.any():
-        raise InputError(f"learn.start 'ends': no segment is shorter than {SHORT_M} m, so none tells what is near")
+        raise InputError(
+            f"learn.start 'ends': no segment is shorter than {MAX_SHORT_SEGMENT_M} m, so none tells what is near"
+        )
     return float((-way / torch.log(1.0 - (unlike / far) ** 2))[short].median()), far
 
 
@@ -192,7 +195,9 @@ def _solve(normal: csc_array, right: np.ndarray) -> np.ndarray:
 
     A truncated solution is still a descent direction, and the next round continues from there.
     """
-    found, _ = cg(normal, right, rtol=EXACT, maxiter=MOST_STEPS, M=diags_array(np.reciprocal(normal.diagonal())))
+    found, _ = cg(
+        normal, right, rtol=SOLVER_TOLERANCE, maxiter=MAX_SOLVER_STEPS, M=diags_array(np.reciprocal(normal.diagonal()))
+    )
     return found
 
 

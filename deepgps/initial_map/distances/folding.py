@@ -18,12 +18,12 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from deepgps.data.segments import Segments, find_owners, subsample
-from deepgps.initial_map.distances.isomap import LONGEST_LINK, NEIGHBOURS, find_loop_closures
+from deepgps.initial_map.distances.isomap import MAX_LINK, NEIGHBOURS, find_loop_closures
 from deepgps.initial_map.distances.pose_graph import PoseGraph, build_pose_graph, lay_bars
 
 SAMPLES = 2000
 FOLD_NEIGHBOURS = 32
-NEAR_M = 0.1
+NEIGHBOUR_M = 0.1
 LOOK_M = 0.3
 LENGTH_ERROR_LIMIT, OVERLAP_LIMIT = 0.04, 0.02  # A map counts as folded if it exceeds either of these
 
@@ -70,7 +70,8 @@ def measure_length_error(positions: np.ndarray, segments: Segments) -> float:
 def measure_overlap(
     positions: np.ndarray, features: torch.Tensor, segments: Segments, generator: torch.Generator
 ) -> float:
-    """Part of the observations that look unlike a quarter or more of their neighbours on the map, within ``NEAR_M``.
+    """Part of the observations that look unlike a quarter or more of their neighbours on the map, within
+    ``NEIGHBOUR_M``.
 
     Only neighbours on other segments count; unknown positions (NaN) are left out. Two observations look unlike each
     other if their features differ by more than 1.5 times the 0.9 quantile of the differences between readings
@@ -81,7 +82,7 @@ def measure_overlap(
     chosen = known[torch.randperm(len(known), generator=generator)[:SAMPLES].numpy()]
     apart, found = KDTree(positions[known]).query(positions[chosen], k=min(FOLD_NEIGHBOURS, len(known)))
     other = known[found]
-    near = (apart < NEAR_M) & (owner[other] != owner[chosen][:, None])
+    near = (apart < NEIGHBOUR_M) & (owner[other] != owner[chosen][:, None])
     unlike = (features[chosen][:, None] - features[other]).norm(dim=2).numpy() > 1.5 * _usual_difference(
         features, segments
     )
@@ -102,10 +103,10 @@ def _usual_difference(features: torch.Tensor, segments: Segments) -> float:
     return float(np.quantile(joined, 0.9)) if len(joined) else float("inf")
 
 
-NEAR, MOVED = 2.0, 3.0
+MIRROR_WIDTH, MIN_MIRROR_SHIFT = 2.0, 3.0
 """Distance from a line within which a crossing allows mirroring about it, and beyond which mirroring moves a reading,
 in steps between readings."""
-LEAST = 0.02  # Least share of the readings in a part; fewer are those of a bar that hangs loose
+MIN_PART_SHARE = 0.02  # Least share of the readings in a part; fewer are those of a bar that hangs loose
 
 
 def find_ambiguous(places: np.ndarray, features: torch.Tensor, segments: Segments) -> np.ndarray:
@@ -135,12 +136,12 @@ def find_ambiguous_readings(graph: PoseGraph, point: np.ndarray) -> np.ndarray:
     ambiguous = np.zeros(len(point), bool)
     for bar in range(bars):
         normal = np.array([-np.sin(heading[bar]), np.cos(heading[bar])])
-        holds = np.abs((place - middle[bar]) @ normal) > NEAR * graph.step
+        holds = np.abs((place - middle[bar]) @ normal) > MIRROR_WIDTH * graph.step
         joined = csr_array((np.ones(holds.sum()), (pair[holds, 0], pair[holds, 1])), shape=(bars, bars))
         part = connected_components(joined, directed=False)[1][graph.bar]
-        moved = np.abs((point - middle[bar]) @ normal) > MOVED * graph.step
+        moved = np.abs((point - middle[bar]) @ normal) > MIN_MIRROR_SHIFT * graph.step
         size = np.bincount(part, moved)
-        ambiguous |= moved & (part != size.argmax()) & (size > LEAST * len(point))[part]
+        ambiguous |= moved & (part != size.argmax()) & (size > MIN_PART_SHARE * len(point))[part]
     return ambiguous
 
 
@@ -148,7 +149,7 @@ def _find_crossings(graph: PoseGraph, point: np.ndarray) -> tuple[np.ndarray, np
     # Pairs of bars that cross on the map (c, 2), each once, and the mean place of their loop closures (c, 2) [m].
     apart = np.linalg.norm(point[graph.a] - point[graph.b], axis=1)
     both = np.sort(np.stack([graph.bar[graph.a], graph.bar[graph.b]], axis=1), axis=1)
-    cross = (apart < LONGEST_LINK * graph.step) & (both[:, 0] != both[:, 1])
+    cross = (apart < MAX_LINK * graph.step) & (both[:, 0] != both[:, 1])
     pair, number, count = np.unique(both[cross], axis=0, return_inverse=True, return_counts=True)
     middle = ((point[graph.a] + point[graph.b]) / 2.0)[cross]
     return pair, np.stack([np.bincount(number, middle[:, axis], len(pair)) / count for axis in range(2)], axis=1)

@@ -18,8 +18,8 @@ from sim.errors import InputError
 NEIGHBOURS = (3, 6)
 """Neighbours of each observation in the graphs whose shortest paths give a map; the first gives the loop closures."""
 LANDMARKS = 300
-LONGEST_LINK = 2.0
-PAIRS = 2**23  # Pairs of observations that are compared at a time
+MAX_LINK = 2.0
+PAIR_BATCH = 2**23  # Pairs of observations that are compared at a time
 
 LoopClosures = tuple[np.ndarray, np.ndarray, np.ndarray]
 """First (n,) and second (n,) observations of the loop closures, and their estimated distances (n,) [m]."""
@@ -57,7 +57,7 @@ def find_loop_closures(features: torch.Tensor, segments: Segments, neighbours: t
     j, difference = _find_nearest(features, segments, (before, after), min(max(neighbours), len(features)))
     i = torch.arange(len(features))[:, None].expand_as(j)
     length = difference / ((rate[i] + rate[j]) / 2.0)
-    near = (length < LONGEST_LINK * spacing) & (after[i] >= 0)
+    near = (length < MAX_LINK * spacing) & (after[i] >= 0)
     found = []
     for count in neighbours:
         a, b, way = i[:, :count].flatten(), j[:, :count].flatten(), length[:, :count].flatten()
@@ -105,11 +105,11 @@ def _find_nearest(
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """The ``most`` nearest observations of other segments and their differences (N, most), the nearest first.
 
-    Pairs are compared ``PAIRS`` at a time: memory stays bounded, and a product of matrices is fast.
+    Pairs are compared ``PAIR_BATCH`` at a time: memory stays bounded, and a product of matrices is fast.
     """
     squared = features.square().sum(dim=1).masked_fill(owners[1] < 0, torch.inf)
     valid, nearest, difference = segments.valid, [], []
-    size = max(1, PAIRS // len(features))
+    size = max(1, PAIR_BATCH // len(features))
     table = torch.empty(size, len(features))  # used again, since memory that is returned in pieces is not used again
     for chunk in torch.arange(len(features)).split(size):
         apart = torch.addmm(squared, features[chunk], features.T, alpha=-2.0, out=table[: len(chunk)])

@@ -25,11 +25,11 @@ from deepgps.initial_map.compass.least_squares import factorise
 from deepgps.initial_map.distances.isomap import LoopClosures
 
 ROUNDS = 12
-BELIEVED_FIRST, BELIEVED_LAST = 32.0, 1.0
+FIRST_ROBUST_SCALE, LAST_ROBUST_SCALE = 32.0, 1.0
 """Scale of the robust weights in the first and the last round, in steps between readings."""
-LOOK, MEET = 0.25, 0.06
+LOOK_STD, MEETING_STD = 0.25, 0.06
 """Standard deviations of a loop closure at distance zero and of two bars that meet, in steps between readings."""
-LARGEST_TURN = 0.5
+MAX_TURN = 0.5
 DAMPING = 1e-9
 
 
@@ -59,17 +59,17 @@ def relax(places: np.ndarray, segments: Segments, closures: LoopClosures) -> tup
     """
     graph = build_pose_graph(segments, closures, np.asarray(np.isfinite(places).all(axis=1)))
     middle, heading = lay_bars(places[graph.observation], graph)
-    for believed in graph.step * np.geomspace(BELIEVED_FIRST, BELIEVED_LAST, ROUNDS):
+    for believed in graph.step * np.geomspace(FIRST_ROBUST_SCALE, LAST_ROBUST_SCALE, ROUNDS):
         ahead = point_along(heading, graph, graph.along)
         apart = (middle[graph.bar] + ahead)[graph.a] - (middle[graph.bar] + ahead)[graph.b]
         jacobian, trust = derive_apart(graph, move_rigidly(ahead)), np.tile(weigh(graph, apart, believed), 2)
         pull = jacobian.T @ (trust * apart.T.ravel())
         move = -factorise(make_normal(jacobian, trust)).solve(pull).reshape(-1, 3)
         middle += move[:, :2]
-        heading += move[:, 2].clip(-LARGEST_TURN, LARGEST_TURN)
+        heading += move[:, 2].clip(-MAX_TURN, MAX_TURN)
     point = middle[graph.bar] + point_along(heading, graph, graph.along)
     squared = ((point[graph.a] - point[graph.b]) ** 2).sum(axis=1)
-    robust = np.where(graph.firm, squared, squared / (1.0 + squared / (BELIEVED_LAST * graph.step) ** 2))
+    robust = np.where(graph.firm, squared, squared / (1.0 + squared / (LAST_ROBUST_SCALE * graph.step) ** 2))
     found = np.array(places, float)
     found[graph.observation] = point
     return found, float((graph.weight * robust).sum())
@@ -90,7 +90,9 @@ def build_pose_graph(segments: Segments, closures: LoopClosures, placed: np.ndar
     a = np.concatenate([reading[first[known]], reading[observation[meet]]])
     b = np.concatenate([reading[second[known]], meet])
     firm = np.arange(len(a)) >= known.sum()
-    weight = 1.0 / np.where(firm, (MEET * step) ** 2, (LOOK * step) ** 2 + np.pad(length[known], (0, len(meet))) ** 2)
+    weight = 1.0 / np.where(
+        firm, (MEETING_STD * step) ** 2, (LOOK_STD * step) ** 2 + np.pad(length[known], (0, len(meet))) ** 2
+    )
     return PoseGraph(observation, along, bar, a, b, firm, weight, step)
 
 
@@ -147,14 +149,14 @@ def weigh(graph: PoseGraph, apart: np.ndarray, believed: float) -> np.ndarray:
 
 
 COSINES = 3  # Cosines of each bar; with more, the map is hardly better
-NOISE_FIRST, NOISE_LEAST = 0.1, 1e-4
+FIRST_NOISE, MIN_NOISE = 0.1, 1e-4
 """Noise of a gap, relative to it, in the first round, and the least that is assumed."""
-UNEVEN_FIRST, UNEVEN_LAST, UNEVEN_ROUNDS = 4.0, 1.0, 8
+FIRST_UNEVEN_SCALE, LAST_UNEVEN_SCALE, UNEVEN_ROUNDS = 4.0, 1.0, 8
 """Scale of the robust weights in the first and the last round, in steps between readings."""
-HELD, SETTLED = 0.6, 2
+FINAL_NOISE_WEIGHT, FINAL_ROUNDS = 0.6, 2
 """In the last rounds, which estimate no noise, it counts this much: loop closures pull bars together."""
 SAMPLES = 8  # Samples of the errors of the coefficients, for their mean square
-TAILS = 4.0
+COEFFICIENT_FREEDOM = 4.0
 """Degrees of freedom of the coefficients' distribution: a bar whose wheel stuck errs more than noise explains."""
 
 
@@ -185,7 +187,7 @@ class UnevenBars:
     """
 
     def __init__(self, graph: PoseGraph, places: np.ndarray) -> None:
-        self.noise, self._graph, bar = NOISE_FIRST, graph, graph.bar
+        self.noise, self._graph, bar = FIRST_NOISE, graph, graph.bar
         middle, heading = lay_bars(places[graph.observation], graph)
         self.unknown = np.concatenate([middle, heading[:, None], np.zeros((len(heading), COSINES))], axis=1)
         self.usual = np.ones(len(heading))
@@ -227,7 +229,7 @@ class UnevenBars:
         longer = self.usual[:, None] * self._longer
         step, scaled = (factors.solve(right).reshape(prior.shape) for right in (-pull, longer.ravel()))
         step -= scaled * (longer * (self.unknown + step)).sum() / (longer * scaled).sum()
-        step[:, 2] = step[:, 2].clip(-LARGEST_TURN, LARGEST_TURN)
+        step[:, 2] = step[:, 2].clip(-MAX_TURN, MAX_TURN)
         self.unknown += step
         return Normal(jacobian, trust, prior.ravel(), factors)
 
@@ -241,8 +243,8 @@ class UnevenBars:
         drawn += np.sqrt(prior)[:, None] * rng.standard_normal((len(prior), SAMPLES))
         error = factors.solve(drawn).reshape(*self.unknown.shape, SAMPLES)[:, 3:]
         squared = (self.unknown[:, 3:] ** 2 + (error**2).mean(axis=2)) / self._std**2
-        self.usual = (TAILS + COSINES) / (TAILS + squared.sum(axis=1) / self.noise**2)
-        self.noise = max(float((self.usual[:, None] * squared).mean()) / self.noise, NOISE_LEAST)
+        self.usual = (COEFFICIENT_FREEDOM + COSINES) / (COEFFICIENT_FREEDOM + squared.sum(axis=1) / self.noise**2)
+        self.noise = max(float((self.usual[:, None] * squared).mean()) / self.noise, MIN_NOISE)
 
 
 def relax_unevenly(places: np.ndarray, segments: Segments, closures: LoopClosures, rng: np.random.Generator) -> Relaxed:
@@ -254,10 +256,10 @@ def relax_unevenly(places: np.ndarray, segments: Segments, closures: LoopClosure
     placed = np.asarray(np.isfinite(places).all(axis=1))
     graph = build_pose_graph(segments, closures, placed)
     bars = UnevenBars(graph, places)
-    for believed in graph.step * np.geomspace(UNEVEN_FIRST, UNEVEN_LAST, UNEVEN_ROUNDS):
+    for believed in graph.step * np.geomspace(FIRST_UNEVEN_SCALE, LAST_UNEVEN_SCALE, UNEVEN_ROUNDS):
         bars.estimate_noise(bars.move(believed, bars.noise), rng)
-    for _ in range(SETTLED):
-        bars.move(graph.step * UNEVEN_LAST, HELD * bars.noise)
+    for _ in range(FINAL_ROUNDS):
+        bars.move(graph.step * LAST_UNEVEN_SCALE, FINAL_NOISE_WEIGHT * bars.noise)
     found, distance = np.array(places, float), segments.distance.clone()
     found[graph.observation] = bars.place()[0]
     on_graph = segments.valid & torch.from_numpy(placed)[segments.index]

@@ -10,7 +10,7 @@ from typing import get_origin
 import pytest
 
 from deepgps.commands.main import COMMANDS, main
-from deepgps.commands.short_help import COLUMNS, FIRST
+from deepgps.commands.short_help import COLUMNS, FIRST_SETTINGS
 from deepgps.config.scenario import Scenario
 from deepgps.config.spelling import as_option, find_settings_like, from_option, list_settings
 from sim.errors import InputError
@@ -85,7 +85,7 @@ def test_short_help_is_for_a_first_reader(words, capsys):
     for text in ("SCENARIO", "example: deepgps run living_room", "--out", "--help-all", "image-faults"):
         assert text in said
     assert "STR" not in said
-    assert set(FIRST) <= set(SETTINGS)
+    assert set(FIRST_SETTINGS) <= set(SETTINGS)
 
 
 def test_help_of_a_group_shows_its_settings_alone(capsys):

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deepgps.data.encoder_noise import (
-    DISAGREEMENT,
+    MAX_DISAGREEMENT,
     expect_errors,
     find_inliers,
     find_wrong,
@@ -144,7 +144,7 @@ def test_doubted_segments_are_drawn_as_rarely_as_they_are_believed():
     recording, _ = drive(EncoderSettings())
     segments = read_segments(recording)
     weight = torch.ones(SEGMENTS)
-    weight[:300] = (DISAGREEMENT / 40.0) ** 2
+    weight[:300] = (MAX_DISAGREEMENT / 40.0) ** 2
     batch = sample_batch(replace(segments, weight=weight), 20_000, 2, torch.Generator().manual_seed(0))
     share = (batch.index[:, 0] < 300 * GAPS).float().mean().item()
     assert share == pytest.approx(0.01 / 1.01, abs=0.003)

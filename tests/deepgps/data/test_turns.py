@@ -11,8 +11,8 @@ import torch
 
 from deepgps.data.segments import Segments, find_runs
 from deepgps.data.turns import (
-    BACKED_OFF_M,
-    MEETING_M,
+    BACK_OFF_STD_M,
+    MEETING_STD_M,
     _join,
     compare_headings,
     find_next,
@@ -43,7 +43,7 @@ def turned(recording: Recording) -> np.ndarray:
 def test_turns_are_the_true_ones(recording: Recording, turned: np.ndarray):
     turns = measure_turns(recording)
     error = wrap(turns.angle - turned)
-    known = turns.jump_std < BACKED_OFF_M
+    known = turns.jump_std < BACK_OFF_STD_M
     assert known.sum() > 10
     assert np.sqrt((error[known] ** 2).mean()) < np.radians(1.0), "32 sectors are 11 degrees each"
     assert np.abs(error).max() < np.radians(15.0)
@@ -89,13 +89,13 @@ def test_where_the_robot_turned_is_known_from_one_of_the_two_readings_there(lost
     runs = [drive.reading[run, 1] for run in find_runs(drive) if len(run) >= 2]
     apart = np.array([pose[after[0], :2] - pose[before[-1], :2] for before, after in pairwise(runs)])
     true = turn(-np.array([pose[before[-1], 2] for before in runs[:-1]]), apart)
-    error, known = np.linalg.norm(turns.jump - true, axis=1), turns.jump_std < BACKED_OFF_M
+    error, known = np.linalg.norm(turns.jump - true, axis=1), turns.jump_std < BACK_OFF_STD_M
     assert known.sum() > 10
     if lost == "both":
         assert 0.4 < np.sqrt(np.mean((error / turns.jump_std)[known] ** 2) / 2) < 1.3
     else:
-        np.testing.assert_allclose(turns.jump_std[known], MEETING_M)
-        assert error[known].max() < 5 * MEETING_M
+        np.testing.assert_allclose(turns.jump_std[known], MEETING_STD_M)
+        assert error[known].max() < 5 * MEETING_STD_M
 
 
 @pytest.mark.parametrize("lost", [0.0, 0.3, 0.6])

@@ -10,7 +10,7 @@ from deepgps.diagnosis.diagnosis import Diagnosis, Estimate, apply_diagnosis, di
 from deepgps.diagnosis.findings import correct, find_faults
 from deepgps.diagnosis.store import FILE, diagnose_once, read_diagnosis, take_diagnosed
 from deepgps.diagnosis.turning import Sight
-from deepgps.reports.wheels_page import ALL_WELL, NOT_MEASURED, UNKNOWN, write_markdown
+from deepgps.reports.wheels_page import NO_FAULT_NOTE, TOO_SHORT_NOTE, UNKNOWN_SCALE_NOTE, write_markdown
 from sim.errors import InputError
 from sim.geometry import wrap
 from sim.recording.format import Recording, open_recording, open_truth
@@ -53,11 +53,11 @@ def names(diagnosis: Diagnosis) -> list[str]:
 def test_wheels_without_faults_raise_no_alarm(recording: Recording, sight: Sight):
     diagnosis = diagnose(recording, sight)
     assert names(diagnosis) == []
-    assert ALL_WELL in write_markdown(diagnosis)
-    assert UNKNOWN in write_markdown(diagnosis)
+    assert NO_FAULT_NOTE in write_markdown(diagnosis)
+    assert UNKNOWN_SCALE_NOTE in write_markdown(diagnosis)
     nothing = Estimate(np.nan, np.nan, np.nan)
     unknown = write_markdown(replace(diagnosis, track_m=nothing))
-    assert NOT_MEASURED in unknown and ALL_WELL not in unknown
+    assert TOO_SHORT_NOTE in unknown and NO_FAULT_NOTE not in unknown
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from deepgps.data.turns import PUSHED_RAD, WHEELS_RAD, trust_wheels
+from deepgps.data.turns import PUSHED_TURN_STD_RAD, WHEEL_TURN_STD_RAD, trust_wheels
 from deepgps.diagnosis.turning import fit_slope
 from sim.recording.turns import KINDS, Turns
 
@@ -32,4 +32,8 @@ def test_errors_larger_than_expected_widen_the_interval():
 def test_wheels_are_trusted_less_where_the_robot_was_pushed():
     kinds = np.array([KINDS.index("in_place"), KINDS.index("backed_off"), KINDS.index("relocated")])
     none = np.zeros(3, int)
-    assert trust_wheels(Turns(none, none, none, kinds)).tolist() == [WHEELS_RAD, PUSHED_RAD, PUSHED_RAD]
+    assert trust_wheels(Turns(none, none, none, kinds)).tolist() == [
+        WHEEL_TURN_STD_RAD,
+        PUSHED_TURN_STD_RAD,
+        PUSHED_TURN_STD_RAD,
+    ]

@@ -19,8 +19,8 @@ from deepgps.evaluation.error_field import (
     write_fields,
 )
 from deepgps.evaluation.measures import (
-    LEAST,
-    REFUSED,
+    MIN_IMAGES,
+    REFUSED_SHARES,
     find_risk,
     measure_auroc,
     summarise,
@@ -123,7 +123,7 @@ def test_the_figures_are_those_that_other_code_counts_from_the_file(tmp_path: Pa
     assert figures["max_accepted_m"] == pytest.approx(max(worst))
     assert figures["radius_68_holds"] == pytest.approx(np.mean(within["radius"]))
     assert figures["radius_95_holds"] == pytest.approx(np.mean(within["radius_95"]))
-    for row, share in enumerate(REFUSED):
+    for row, share in enumerate(REFUSED_SHARES):
         left = [error for _, error in sorted(zip(novelties, errors, strict=True))][: round((1 - share) * len(errors))]
         table = {name: column[row] for name, column in figures["risk_coverage"].items()}
         assert table["rms_m"] == pytest.approx(np.sqrt(np.mean(np.square(left))))
@@ -140,14 +140,14 @@ def split_by_size(errors: list[float], novelties: list[float]) -> tuple[list[flo
 
 
 def test_an_unknown_novelty_is_the_highest() -> None:
-    error = np.repeat([0.01, 0.5], LEAST).reshape(2, LEAST)
+    error = np.repeat([0.01, 0.5], MIN_IMAGES).reshape(2, MIN_IMAGES)
     score = np.where(error > 0.1, np.nan, 3.0)
     assert measure_auroc(error, score) == 1.0
-    assert find_risk(error, score)[LEAST - 1] == pytest.approx(0.01)
+    assert find_risk(error, score)[MIN_IMAGES - 1] == pytest.approx(0.01)
 
 
 def test_no_auroc_is_given_for_too_few_large_or_small_errors() -> None:
-    for large in (LEAST - 1, 100 - LEAST + 1):
+    for large in (MIN_IMAGES - 1, 100 - MIN_IMAGES + 1):
         error = np.where(np.arange(100) < large, 0.2, 0.01)[:, None]
         assert measure_auroc(error, error) is None
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from deepgps.evaluation.error_field import ErrorField
-from deepgps.evaluation.evaluate import FAR_M, measure_heading_spread, measure_misplaced
+from deepgps.evaluation.evaluate import MISPLACED_M, measure_heading_spread, measure_misplaced
 from deepgps.evaluation.measures import measure_flipped, measure_flipped_patch, measure_visible, summarise_yaw
 from sim.geometry import FreeSpace
 
@@ -130,6 +130,6 @@ def test_what_is_reached_does_not_change_when_the_world_is_moved():
 def test_only_what_is_farther_off_than_the_limit_is_misplaced():
     rng = np.random.default_rng(0)
     pose = rng.uniform(-5.0, 5.0, (40, 3))
-    angle, off = rng.uniform(-np.pi, np.pi, 40), np.r_[np.full(30, 0.99 * FAR_M), np.full(10, 1.01 * FAR_M)]
+    angle, off = rng.uniform(-np.pi, np.pi, 40), np.r_[np.full(30, 0.99 * MISPLACED_M), np.full(10, 1.01 * MISPLACED_M)]
     places = pose[:, :2] + off[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     assert measure_misplaced(places, SimpleNamespace(pose=pose)) == pytest.approx(0.25)  # pyright: ignore[reportArgumentType]

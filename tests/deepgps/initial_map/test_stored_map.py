@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepgps.initial_map.compass.compass_map import STAGES
+from deepgps.initial_map.compass.compass_map import MAX_STAGES
 from deepgps.initial_map.stored_map import FILE, read_map, write_map
 from sim.errors import DamagedError
 from sim.files.checksums import read_arrays, write_arrays
@@ -29,7 +29,7 @@ def test_a_map_is_read_back_with_all_its_stages(tmp_path: Path):
     np.testing.assert_array_equal(last.believed, found.believed)
     np.testing.assert_allclose(last.places, found.places, atol=1e-5)
     np.testing.assert_allclose(last.heading, found.heading, atol=1e-5)
-    assert 2 <= len(stored.stage) <= STAGES and stored.stage[0] == 0 and (np.diff(stored.stage) > 0).all()
+    assert 2 <= len(stored.stage) <= MAX_STAGES and stored.stage[0] == 0 and (np.diff(stored.stage) > 0).all()
 
 
 def test_a_method_without_map_has_none_and_a_damaged_one_is_told(tmp_path: Path):

@@ -14,7 +14,7 @@ from deepgps.data.encoder_noise import expect_errors
 from deepgps.data.segments import Segments, read_segments, subsample
 from deepgps.data.turns import measure_turns
 from deepgps.learning.batches import Batch
-from deepgps.learning.losses import FLATTEN_FROM, FLATTEN_TO, find_plane, flatten_later, imitate_first
+from deepgps.learning.losses import FLATTENING_END, FLATTENING_START, find_plane, flatten_later, imitate_first
 from deepgps.learning.training_data import prepare
 from deepgps.methods.deepgps import SLACK_M, choose_start
 from deepgps.methods.fit import fit_method
@@ -162,7 +162,7 @@ def test_the_penalty_is_the_distance_from_the_plane_and_grows():
     points = torch.tensor([[3.0, 0, 0], [-3.0, 0, 0], [0, 2.0, 0], [0, -2.0, 0], [0, 0, 0.5], [0, 0, -0.5]])
     batch = Batch(torch.arange(6), torch.zeros(6), torch.ones(6, dtype=torch.bool))
     loss = flatten_later(lambda out, batch, done: out.sum() * 0.0, LiftSettings())
-    times = (FLATTEN_FROM, (FLATTEN_FROM + FLATTEN_TO) / 2.0, 0.9)
+    times = (FLATTENING_START, (FLATTENING_START + FLATTENING_END) / 2.0, 0.9)
     values = [loss(points, batch, torch.tensor(done)).item() for done in times]
     assert values == pytest.approx([0.0, 0.5 / 6.0, 1.0 / 6.0])
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import torch
 
-from deepgps.data.segments import HELD_OUT, LEAST_SEGMENTS, Segments, choose_held_out, find_held_out
+from deepgps.data.segments import HELD_OUT_SHARE, MIN_SEGMENTS, Segments, choose_held_out, find_held_out
 from deepgps.positioner.confidence import GROWTH, LEVELS, Confidence, find_normal_radius, make_table
 from deepgps.positioner.confidence_fit import (
-    FAR_M,
-    LEAST_ERRORS,
-    REFUSED,
-    SELDOM,
+    LARGE_ERROR_M,
+    MAX_ERROR_PROBABILITY,
+    MIN_ERRORS,
+    REFUSED_SHARE,
     find_crossing,
     fit_quantile,
     fit_radii,
@@ -72,7 +72,7 @@ def test_the_radii_hold_the_true_place_as_often_as_they_say(table: Confidence) -
 
 def test_the_share_refused_of_a_fresh_drive_is_as_chosen(table: Confidence) -> None:
     _, place = drive(400, seed=4)
-    assert 0.3 * REFUSED < (~table.find(lift(place), place).accepted).mean() < 2.0 * REFUSED
+    assert 0.3 * REFUSED_SHARE < (~table.find(lift(place), place).accepted).mean() < 2.0 * REFUSED_SHARE
 
 
 def test_images_of_a_part_that_may_lie_elsewhere_are_refused() -> None:
@@ -120,7 +120,7 @@ def test_motion_packing_and_company_change_nothing(table: Confidence) -> None:
 
 
 def test_without_segments_held_out_radii_come_from_interpolation_and_are_not_too_small() -> None:
-    segments, place = drive(LEAST_SEGMENTS - 1)
+    segments, place = drive(MIN_SEGMENTS - 1)
     table = Confidence.unpack(*make(segments, lift(place), place).pack())
     assert not table.find(lift(place + 50.0), place).accepted.any()
     _, place = drive(400, seed=2)
@@ -132,7 +132,7 @@ def test_without_segments_held_out_radii_come_from_interpolation_and_are_not_too
 
 def test_a_few_errors_blank_features_and_one_segment_tell_nothing(table: Confidence) -> None:
     unknown = replace(table, slope=np.full((2, 2), np.nan))
-    few = fit_radii(unknown, np.linspace(0.1, 0.2, LEAST_ERRORS - 1), np.ones(LEAST_ERRORS - 1))
+    few = fit_radii(unknown, np.linspace(0.1, 0.2, MIN_ERRORS - 1), np.ones(MIN_ERRORS - 1))
     assert np.isnan(few.find(lift(np.ones((3, 2))), np.ones((3, 2))).radius).all()
     segments, place = drive(4)
     assert make(segments, 0.0 * lift(place), place).threshold_m == 0.0
@@ -150,14 +150,14 @@ def test_short_drives_accept_only_images_whose_places_can_be_interpolated() -> N
     segments, place = drive(12)
     left_out = leave_segments_out(segments, lift(place), place)
     assert left_out is not None
-    usual = float(np.quantile(left_out.novelty, 1.0 - REFUSED))
+    usual = float(np.quantile(left_out.novelty, 1.0 - REFUSED_SHARE))
     table = make(segments, lift(place), place)
     assert table.threshold_m < 0.9 * usual
     _, place = drive(400, seed=2)
     guessed = interpolate(table, lift(place))
     error, found = np.linalg.norm(guessed - place, axis=1), table.find(lift(place), guessed)
-    assert (error[found.accepted] > FAR_M).mean() < SELDOM
-    assert (error > FAR_M).mean() > 2.0 * SELDOM
+    assert (error[found.accepted] > LARGE_ERROR_M).mean() < MAX_ERROR_PROBABILITY
+    assert (error > LARGE_ERROR_M).mean() > 2.0 * MAX_ERROR_PROBABILITY
 
 
 def test_long_drives_refuse_the_usual_share() -> None:
@@ -165,8 +165,8 @@ def test_long_drives_refuse_the_usual_share() -> None:
     left_out = leave_segments_out(segments, lift(place), place)
     assert left_out is not None
     table = set_threshold(make_table(lift(place), place, np.zeros(len(place)), np.arange(len(place))), left_out)
-    assert table.threshold_m == table.usual_m == np.quantile(left_out.novelty, 1.0 - REFUSED, method="higher")
-    assert table.refused < REFUSED
+    assert table.threshold_m == table.usual_m == np.quantile(left_out.novelty, 1.0 - REFUSED_SHARE, method="higher")
+    assert table.refused < REFUSED_SHARE
 
 
 def test_the_threshold_does_not_change_under_a_rigid_motion() -> None:
@@ -195,7 +195,7 @@ def test_novelty_that_tells_nothing_of_errors_refuses_nothing_or_all_by_the_shar
 def test_bars_measure_the_error_whatever_their_place_heading_and_length() -> None:
     segments, place = drive(2000)
     held = find_held_out(segments, len(place)).numpy()
-    assert abs(held.mean() - HELD_OUT) < 0.005
+    assert abs(held.mean() - HELD_OUT_SHARE) < 0.005
     error = measure_bars(segments, 1.01 * err(place, 0.01, 1), held)
     assert np.array_equal(np.isfinite(error), held)
     assert np.nanmean(error**2) == pytest.approx(2.0 * 0.0101**2, rel=0.1)

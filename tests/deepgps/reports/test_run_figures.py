@@ -14,7 +14,7 @@ from matplotlib.colors import to_hex
 
 from deepgps.evaluation.error_field import ErrorField, find_worst, read_all_headings, read_fields
 from deepgps.reports import run_figures
-from deepgps.reports.plots import REFUSED, SCALE_M, colours_of, smooth, to_png
+from deepgps.reports.plots import REFUSED_COLOUR, SCALE_M, colours_of, smooth, to_png
 from deepgps.reports.run_figures import draw_error_field, draw_figures, draw_risk, make_figures
 from sim.errors import InputError
 from sim.geometry import limits
@@ -111,7 +111,7 @@ def test_refused_images_are_grey_and_the_others_have_colours(run: Path) -> None:
     refused, arrows = (part for part in figure.axes[0].collections if hasattr(part, "U"))
     assert len(list_arrows(arrows)) == accepted.any(axis=1).sum()
     assert len(list_arrows(refused)) == (~accepted).any(axis=1).sum()
-    assert {to_hex(colour) for colour in refused.get_facecolors()} == {REFUSED}
+    assert {to_hex(colour) for colour in refused.get_facecolors()} == {REFUSED_COLOUR}
     assert "grey: images that the method refuses" in figure.legends[0].texts[0].get_text()
     assert f"{100 * accepted.mean():.1f} % of images accepted" in figure.axes[0].get_title()
     assert not draw_error_field(make_free_space(), field, "knn").legends

@@ -3,7 +3,7 @@
 import numpy as np
 
 from deepgps.evaluation.measures import measure_coverage, name_part
-from deepgps.reports.run_report import TRY_OUT, judge_run, markdown_report
+from deepgps.reports.run_report import SMOKE_TEST_NOTE, judge_run, markdown_report
 from deepgps.studies.study import Study
 from tests.helpers.synthetic_run import make_metrics
 
@@ -45,7 +45,7 @@ def test_a_drive_that_missed_a_part_says_which_and_what_to_do():
 
 
 def test_the_smallest_scenario_says_that_it_is_a_try_and_the_report_holds_the_verdict():
-    assert judge_run(make("tiny")) == [TRY_OUT]
+    assert judge_run(make("tiny")) == [SMOKE_TEST_NOTE]
     truth = np.zeros((4, 2))
     metrics = make_metrics(truth, {"deepgps": truth[:, None] + 9.0}, 100)
     assert "**Not converged: DeepGPS (RMS" in markdown_report({**metrics, "environment": {}})

@@ -11,7 +11,7 @@ from deepgps.data.turns import CompassTurns
 from deepgps.initial_map.compass.bars import Bars, lay_out
 from deepgps.initial_map.compass.closures import Closures
 from deepgps.initial_map.compass.compass_map import CompassMap, find_compass_map
-from deepgps.initial_map.compass.least_squares import CURVATURE
+from deepgps.initial_map.compass.least_squares import CURVATURE_STD
 from sim.alignment import fit_alignment
 
 SPACING_M = 0.08
@@ -185,7 +185,7 @@ def test_errors_are_as_large_as_their_standard_deviations(gaps: float, tick_m: f
 def test_without_loop_closures_errors_are_as_large_as_their_standard_deviations():
     ratios, rng = [], np.random.default_rng(0)
     for seed in range(20):
-        made = drive(40, seed, noise=1.0, curvature=CURVATURE * rng.standard_normal())
+        made = drive(40, seed, noise=1.0, curvature=CURVATURE_STD * rng.standard_normal())
         found = find_map(made, NONE)
         ratios.append(error(found.places, made.place) ** 2 / 2.0 / (found.std**2).mean())
     assert 0.5 < np.mean(ratios) < 2.0

@@ -43,7 +43,7 @@ def test_links_join_places_that_lie_together(toy):
 
 def test_chunks_find_what_a_comparison_of_all_pairs_finds(toy, monkeypatch: pytest.MonkeyPatch):
     features, segments, _ = toy
-    monkeypatch.setattr("deepgps.initial_map.distances.isomap.PAIRS", 7 * len(features))
+    monkeypatch.setattr("deepgps.initial_map.distances.isomap.PAIR_BATCH", 7 * len(features))
     first, second, _ = find_loop_closures(features, segments, (3,))[0]
     apart = torch.cdist(features, features, compute_mode="donot_use_mm_for_euclid_dist")
     for index, count in zip(segments.index, segments.count, strict=True):

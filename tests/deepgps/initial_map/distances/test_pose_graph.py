@@ -10,7 +10,7 @@ import torch
 from deepgps.data.segments import Segments, read_segments
 from deepgps.initial_map.distances.isomap import LoopClosures, find_loop_closures, map_by_paths
 from deepgps.initial_map.distances.pose_graph import (
-    NOISE_LEAST,
+    MIN_NOISE,
     UnevenBars,
     build_pose_graph,
     derive_apart,
@@ -180,7 +180,7 @@ def test_a_bar_whose_encoder_stood_still_or_that_is_nowhere_does_no_harm(closed:
     places[lost] = np.nan
     found, estimated = refine(places, replace(segments, distance=distance), closures)
     assert np.isnan(found[lost]).all() and np.isfinite(np.delete(found, lost, axis=0)).all()
-    assert estimated >= NOISE_LEAST
+    assert estimated >= MIN_NOISE
 
 
 def test_derivatives_agree_with_finite_differences(closed: Closed):
