@@ -25,10 +25,10 @@ from sim.alignment import fit_alignment, fit_robust_alignment
 from sim.files.atomic import write_bytes
 from sim.recording.format import Truth, open_recording, open_truth
 
-PATH, UNDECIDED, BELIEVED, REFUSED = "#5b7fb5", "#ff8c1a", "#1fa37c", "#e8254f"
-EARLY = 200
+PATH_COLOUR, UNDECIDED_COLOUR, INLIER_COLOUR, OUTLIER_COLOUR = "#5b7fb5", "#ff8c1a", "#1fa37c", "#e8254f"
+FIRST_READINGS = 200
 """Readings, from the start, in the picture of the turns."""
-ELLIPSES = 120
+MAX_ELLIPSES = 120
 
 
 class Drawn:
@@ -59,7 +59,7 @@ class Drawn:
         same = np.diff(reading[:, 0]) == 0
         ends = np.stack([reading[:-1, 1], reading[1:, 1]], axis=1)[same]
         pairs, undecided = points[ends], self.map.undecided[ends].all(axis=1)
-        colours = np.where(undecided, UNDECIDED, PATH).tolist()
+        colours = np.where(undecided, UNDECIDED_COLOUR, PATH_COLOUR).tolist()
         axes.add_collection(LineCollection(list(pairs), colors=colours, linewidths=0.7))
         axes.set(xlabel="", ylabel="", xticks=[], yticks=[])
 
@@ -74,11 +74,11 @@ def draw_turns(drawn: Drawn) -> Figure:
     figure = Figure(figsize=(11, 3.9), layout="constrained")
     left, right = figure.subplots(1, 2)
     points, rms = drawn.place(0)
-    drawn.trace(left, points, EARLY)
-    seen = set(drawn.reading[:EARLY, 1].tolist())
+    drawn.trace(left, points, FIRST_READINGS)
+    seen = set(drawn.reading[:FIRST_READINGS, 1].tolist())
     for before, angle in zip(drawn.map.turn[:, 0], drawn.map.turn_angle, strict=True):
         if before in seen and np.isfinite(points[before, 0]):
-            left.plot(*points[before], "o", color=REFUSED, ms=3)
+            left.plot(*points[before], "o", color=OUTLIER_COLOUR, ms=3)
             left.annotate(f"{np.degrees(angle):+.1f}°", points[before], (3, 3), textcoords="offset points", fontsize=7)
     left.set_title("1. turns by compass, lengths by encoder: the first segments", loc="left", fontsize=11)
     drawn.trace(right, points)
@@ -94,7 +94,7 @@ def draw_rounds(drawn: Drawn) -> Figure:
         points, rms = drawn.place(stage)
         believed = drawn.map.stage_believed[stage]
         drawn.trace(axes, points)
-        drawn.join(axes, points, believed, BELIEVED)
+        drawn.join(axes, points, believed, INLIER_COLOUR)
         title = f"after round {drawn.map.stage[stage]}: {believed.sum():,} of {len(believed):,} believed, "
         axes.set_title(f"{title}{100 * rms:.1f} cm RMS", loc="left", fontsize=11)
     return figure
@@ -107,7 +107,7 @@ def draw_ellipses(drawn: Drawn) -> Figure:
     points, rms = drawn.place(-1)
     drawn.trace(axes, points)
     known, larger = np.flatnonzero(drawn.known), enlarge(drawn.map)
-    some = known[np.linspace(0, len(known) - 1, ELLIPSES).astype(int)]
+    some = known[np.linspace(0, len(known) - 1, MAX_ELLIPSES).astype(int)]
     true = drawn.truth.pose[known, :2]
     rotation = fit_alignment(drawn.map.places[known], true, "SE2").rotation
     value, vector = np.linalg.eigh(rotation @ drawn.map.covariance[some] @ rotation.T)
@@ -139,8 +139,8 @@ def draw_undecided(drawn: Drawn) -> Figure:
     points, rms = drawn.place(-1)
     believed = drawn.map.stage_believed[-1]
     for axes, chosen, colour, word in (
-        (grid[0], believed, BELIEVED, "believed"),
-        (grid[1], ~believed, REFUSED, "refused"),
+        (grid[0], believed, INLIER_COLOUR, "believed"),
+        (grid[1], ~believed, OUTLIER_COLOUR, "refused"),
     ):
         drawn.trace(axes, points)
         drawn.join(axes, points, chosen, colour)
@@ -164,7 +164,7 @@ def draw_mirrored(run: Path) -> Figure:
         strict=True,
     ):
         draw_room(axes, truth.free_space, PAPER)
-        for some, colour in ((~doubtful, PATH), (doubtful, UNDECIDED)):
+        for some, colour in ((~doubtful, PATH_COLOUR), (doubtful, UNDECIDED_COLOUR)):
             axes.scatter(*points[some].T, s=7, color=colour, linewidths=0)
         axes.set_title(title, loc="left", fontsize=11)
     return figure

@@ -13,7 +13,7 @@ from deepgps.reports.table import tabulate
 from sim.files.checksums import sha256
 
 ROWS, COLUMNS = 10, 8
-LESS = (
+LESSER_COLUMNS = (
     *("runs", "images", "outputs", "RMS, most [cm]", "said", "train [s]", "RMS / side [%]", "RMS / base"),
     *("seen [%]", "flipped [%]", "unlabelled", "unlabelled, test", "labels rms [cm]", "stored million", "p95 [cm]"),
     *("headings [cm]", "max of accepted [cm]", "accepted [%]", "RMS of accepted [cm]", "travel [m]", "max [cm]"),
@@ -56,7 +56,7 @@ def _drop_rows(table: Table) -> Table:
 
 
 def _drop_columns(table: Table) -> Table:
-    lost = [name for name in LESS if name in table[0]][: max(0, len(table[0]) - COLUMNS)]
+    lost = [name for name in LESSER_COLUMNS if name in table[0]][: max(0, len(table[0]) - COLUMNS)]
     kept = [index for index, name in enumerate(table[0]) if name not in lost]
     return [[row[index] for index in kept] for row in table]
 

@@ -23,8 +23,8 @@ from sim.files.atomic import write_bytes
 from sim.geometry import FreeSpace
 from sim.recording.format import open_truth
 
-OF_ALL, OF_ACCEPTED = ("RMS, all", "p95", "max"), ("RMS, accepted", "p95", "max")
-HEADINGS = ("method", "tests", *OF_ALL, "accepted", *OF_ACCEPTED, "68 % holds", "95 % holds")
+COLUMNS_OF_ALL, COLUMNS_OF_ACCEPTED = ("RMS, all", "p95", "max"), ("RMS, accepted", "p95", "max")
+HEADINGS = ("method", "tests", *COLUMNS_OF_ALL, "accepted", *COLUMNS_OF_ACCEPTED, "68 % holds", "95 % holds")
 ERRORS = ("rms", "p95", "max")
 
 

@@ -7,7 +7,7 @@ from typing import Any
 from deepgps.config.scenario import Scenario
 from deepgps.evaluation.stored_alignment import has_alignment
 from deepgps.runs.provenance import describe_environment, stage_times, timed
-from deepgps.runs.run_folder import METRICS, WITHOUT_TRUTH
+from deepgps.runs.run_folder import METRICS, TRUTHLESS_METRICS
 from deepgps.terminal.progress import Report
 from sim.errors import DamagedError
 from sim.files.checksums import drop_sum, read_arrays, read_json, write_json
@@ -36,7 +36,7 @@ def evaluate(scenario: Scenario, folder: Path, progress: Report) -> dict[str, An
         judged = without_truth.read_judged(folder)
         if judged and set(scenario.methods) <= set(judged["methods"]):
             return judged
-        path, measure = folder / WITHOUT_TRUTH, without_truth.judge
+        path, measure = folder / TRUTHLESS_METRICS, without_truth.judge
     with timed(folder, "evaluate"):
         measured = measure(folder, scenario, progress)
     remove_recording_of_run(folder)

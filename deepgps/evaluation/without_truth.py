@@ -25,7 +25,7 @@ from deepgps.learning.trainer import find_device, use_threads
 from deepgps.positioner.pose import Poses, find_poses
 from deepgps.positioner.positioner import Positioner
 from deepgps.positioner.stored_positioner import load_positioner, read_training
-from deepgps.runs.run_folder import WITHOUT_TRUTH
+from deepgps.runs.run_folder import TRUTHLESS_METRICS
 from deepgps.terminal.progress import Report, ignore
 from sim.errors import DamagedError, InputError
 from sim.files.checksums import read_json
@@ -69,7 +69,7 @@ def _diagnose_wheels(run: Path, recording: Recording) -> list[str] | None:
 def read_judged(run: Path) -> dict[str, Any] | None:
     """The contents of a run's ``without_truth.json``; None if there is no such file or it is damaged."""
     try:
-        return read_json(run / WITHOUT_TRUTH) if (run / WITHOUT_TRUTH).is_file() else None
+        return read_json(run / TRUTHLESS_METRICS) if (run / TRUTHLESS_METRICS).is_file() else None
     except DamagedError:
         return None
 

@@ -14,7 +14,7 @@ import torch
 from deepgps.api.run import Frame, Run
 from deepgps.positioner.positioner import NetworkPositioner, Positioner
 from deepgps.robot_io.deployed import Deployed
-from deepgps.robot_io.trajectories import WRITE, Format, find_trajectories, write_drives, write_trajectories
+from deepgps.robot_io.trajectories import WRITERS, Format, find_trajectories, write_drives, write_trajectories
 from deepgps.runs.owned_folder import Kind, hold
 from deepgps.terminal.progress import Report
 from sim.alignment import Alignment
@@ -25,7 +25,7 @@ from sim.sensors.camera.mount import map_pixels, pad
 from sim.sensors.camera.unwrap import RoundImage
 
 FILES = re.compile(
-    rf"({'|'.join(WRITE)})/(training|use)/\w+\.({'|'.join(WRITE)})|mcap/(training|use)\.mcap|onnx/(model\.onnx|meta\.json|tables\.npz|example\.py)|export\.json"
+    rf"({'|'.join(WRITERS)})/(training|use)/\w+\.({'|'.join(WRITERS)})|mcap/(training|use)\.mcap|onnx/(model\.onnx|meta\.json|tables\.npz|example\.py)|export\.json"
 )
 EXPORT = Kind("export", "onnx/model.onnx", lambda: FILES)
 ABOUT_FILE = "export.json"  # The file that says which run is exported

@@ -27,7 +27,7 @@ from sim.sensors.camera.unwrap import RoundImage, draw_polar
 
 SUFFIXES = (".bmp", ".jpeg", ".jpg", ".png", ".ppm", ".tif", ".tiff", ".webp")
 LOGS = (".bag", ".db3", ".mcap")
-LARGEST_BYTES = 100_000_000  # Largest encoded image that is read
+MAX_BYTES = 100_000_000  # Largest encoded image that is read
 STDIN = "-"  # Name of standard input as a source
 
 
@@ -99,7 +99,7 @@ def open_pictures(source: str, stdin: BinaryIO) -> Iterator[Picture]:
 def read_picture(path: Path) -> Picture:
     """The image in a file."""
     try:
-        return decode(str(path), read_file(path, LARGEST_BYTES, path.name))
+        return decode(str(path), read_file(path, MAX_BYTES, path.name))
     except InputError as error:
         return Picture(str(path), None, one_line(error))
 
@@ -109,9 +109,9 @@ def read_stream(stream: BinaryIO) -> Iterator[Picture]:
     number = 0
     while head := stream.read(4):
         length = int.from_bytes(head, "big")
-        if len(head) == 4 and not 0 < length <= LARGEST_BYTES:
+        if len(head) == 4 and not 0 < length <= MAX_BYTES:
             raise InputError(
-                f"standard input: image {number} has a length of {length} bytes; must be 1 to {LARGEST_BYTES}, four "
+                f"standard input: image {number} has a length of {length} bytes; must be 1 to {MAX_BYTES}, four "
                 "bytes before each image, the most significant first"
             )
         data = stream.read(length) if len(head) == 4 else b""

@@ -51,7 +51,7 @@ COLUMNS = {
 }
 """Columns of the parts of poses, but for the position."""
 JOINTS = ("wheel_left_joint", "wheel_right_joint")
-UNKNOWN_M2, UNKNOWN_RAD2 = 1e6, np.pi**2 / 3
+UNKNOWN_VARIANCE_M2, UNKNOWN_VARIANCE_RAD2 = 1e6, np.pi**2 / 3
 """Variances of what a method does not know: a position, and a yaw that may be any [m2, rad2]."""
 SIGMA_PER_RADIUS = 1.0 / find_normal_radius(0.68)
 """Standard deviation along each axis over the radius of a circle that holds 68 % of a round normal distribution."""
@@ -69,10 +69,10 @@ class Trajectory:
 
 
 def write_trajectories(folder: Path, trajectories: Sequence[Trajectory], formats: Sequence[Format]) -> None:
-    """Write ``<format>/<drive>/<method>.<format>`` for each trajectory, in formats named in ``WRITE``."""
+    """Write ``<format>/<drive>/<method>.<format>`` for each trajectory, in formats named in ``WRITERS``."""
     for one in trajectories:
         for name in formats:
-            WRITE[name](folder / name / one.drive / f"{one.name}.{name}", one)
+            WRITERS[name](folder / name / one.drive / f"{one.name}.{name}", one)
 
 
 def open_drives(run: Run) -> dict[str, Recording]:
@@ -145,7 +145,7 @@ def _write_value(value: float | bool) -> str:
     return str(int(value)) if isinstance(value, bool) else "" if np.isnan(value) else f"{value:.9g}"
 
 
-WRITE: dict[Format, Callable[[Path, Trajectory], None]] = {"tum": write_path, "csv": write_table}
+WRITERS: dict[Format, Callable[[Path, Trajectory], None]] = {"tum": write_path, "csv": write_table}
 
 
 def write_drives(folder: Path, run: Run, trajectories: Sequence[Trajectory], progress: Report) -> None:
@@ -206,7 +206,10 @@ def find_variances(poses: Poses) -> np.ndarray:
     std_m = std_m if poses.radius_68 is None else poses.radius_68 * SIGMA_PER_RADIUS
     std_rad = unknown if poses.yaw_std is None else poses.yaw_std
     place, turn = np.asarray(std_m, float) ** 2, np.asarray(std_rad, float) ** 2
-    place, turn = np.where(np.isfinite(place), place, UNKNOWN_M2), np.where(np.isfinite(turn), turn, UNKNOWN_RAD2)
+    place, turn = (
+        np.where(np.isfinite(place), place, UNKNOWN_VARIANCE_M2),
+        np.where(np.isfinite(turn), turn, UNKNOWN_VARIANCE_RAD2),
+    )
     return np.column_stack([place, place, turn])
 
 

@@ -16,8 +16,8 @@ from sim.files.atomic import list_files, lock, remove_empty, remove_files
 from sim.files.checksums import read_json, write_json
 
 MARK = ".deepgps"
-FRESH = ".deepgps-fresh"  # Folder within an owned folder in which ``--fresh`` builds what will replace the rest
-COMPLETE = "complete.json"
+FRESH_FOLDER = ".deepgps-fresh"  # Folder within an owned folder in which ``--fresh`` builds what will replace the rest
+COMPLETION_FILE = "complete.json"
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Kind:
 def choose_place(folder: Path, kind: Kind, fresh: bool) -> Path:
     """The folder to work in: ``folder`` itself, or, with ``fresh`` and work already there, a subfolder."""
     begun = (folder / kind.first).is_file()
-    return folder / FRESH if fresh and begun else folder
+    return folder / FRESH_FOLDER if fresh and begun else folder
 
 
 @contextmanager
@@ -113,10 +113,10 @@ def replace(folder: Path, kind: Kind) -> None:
 
     Raises InputError if a file of somebody else's is in a folder that a file or link must replace.
     """
-    fresh = folder / FRESH
+    fresh = folder / FRESH_FOLDER
     built = [path.relative_to(fresh).as_posix() for path in list_files(fresh, kind.files)]
     _refuse_blocked(folder, kind, built)
-    write_json(fresh / COMPLETE, {"files": built})
+    write_json(fresh / COMPLETION_FILE, {"files": built})
     finish_replacement(folder, kind)
 
 
@@ -125,10 +125,10 @@ def finish_replacement(folder: Path, kind: Kind) -> None:
 
     In this order no new file is moved through an old link, such as that to a recording elsewhere.
     """
-    fresh = folder / FRESH
-    if not (fresh / COMPLETE).is_file():
+    fresh = folder / FRESH_FOLDER
+    if not (fresh / COMPLETION_FILE).is_file():
         return
-    built = set(read_json(fresh / COMPLETE)["files"])
+    built = set(read_json(fresh / COMPLETION_FILE)["files"])
     for path in list_files(folder, kind.files):
         if path.relative_to(folder).as_posix() not in built:
             path.unlink()
@@ -138,13 +138,13 @@ def finish_replacement(folder: Path, kind: Kind) -> None:
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             (fresh / name).replace(folder / name)
             remove_empty((fresh / name).parent, fresh)
-    (fresh / COMPLETE).unlink()
+    (fresh / COMPLETION_FILE).unlink()
     remove_empty(fresh, folder)
 
 
 def _refuse_blocked(folder: Path, kind: Kind, built: list[str]) -> None:
     ours = set(list_files(folder, kind.files))
-    fresh, home, disk = (folder / FRESH).resolve(), folder.resolve(), folder.stat().st_dev
+    fresh, home, disk = (folder / FRESH_FOLDER).resolve(), folder.resolve(), folder.stat().st_dev
     for path in sorted({folder / parent for name in built for parent in Path(name).parents[:-1]}):
         if path not in ours and path.exists() and (path.is_symlink() or path.stat().st_dev != disk):
             raise InputError(f"--out {folder}: {path} is a link or another disk; nothing was replaced: move it away")

@@ -16,9 +16,9 @@ from sim.processes import usable_cores
 from sim.recording.format import read_manifest
 
 ROOT = Path(__file__).parents[2]  # Where the package lies: the root of a clone, or the packages of an installation
-NAMED = ("mujoco", "torch", "numpy")  # Packages that a study's report names
+NAMED_PACKAGES = ("mujoco", "torch", "numpy")  # Packages that a study's report names
 PACKAGES = ("deepgps", "mujoco", "torch", "numpy", "opencv-python-headless", "rerun-sdk")
-TIMED = ("collect", "train", "evaluate")  # The stages whose seconds ``metrics.json`` holds
+TIMED_STAGES = ("collect", "train", "evaluate")  # The stages whose seconds ``metrics.json`` holds
 
 log = logging.getLogger(__name__)
 
@@ -39,7 +39,7 @@ def describe_origin(environments: Sequence[Mapping[str, Any]]) -> str:
     devices = _join(device for one in environments if not (device := one.get("trained_on") or "CPU").startswith("CPU"))
     trained = f" trained on {devices}," if devices else ""
     versions = [one.get("packages", {}) for one in environments]
-    packages = _join(", ".join(f"{name} {one.get(name, '-')}" for name in NAMED) for one in versions)
+    packages = _join(", ".join(f"{name} {one.get(name, '-')}" for name in NAMED_PACKAGES) for one in versions)
     return f"Made at {commits} on {machines},{trained} with Python {pythons}, {packages}."
 
 
@@ -90,7 +90,7 @@ def timed(folder: Path, stage: str, done: bool = False) -> Iterator[None]:
 def stage_times(folder: Path) -> dict[str, float]:
     """Seconds of collecting, training and evaluating, without work done elsewhere, such as a study's recordings."""
     times = _read_times(folder)
-    parts = {name: [times[one] for one in times if one.partition(" ")[0] == name] for name in TIMED}
+    parts = {name: [times[one] for one in times if one.partition(" ")[0] == name] for name in TIMED_STAGES}
     return {name: round(sum(seconds), 2) for name, seconds in parts.items() if seconds}
 
 

@@ -10,14 +10,14 @@ from deepgps.config.methods import METHODS
 from deepgps.config.plugins import check_plugins
 from deepgps.config.scenario import Scenario, check_scenario, read_yaml, write_out
 from deepgps.runs.inputs import check_inputs, digest, list_inputs, note_inputs
-from deepgps.runs.owned_folder import COMPLETE, FRESH, Kind, choose_place, discard, hold, replace
+from deepgps.runs.owned_folder import COMPLETION_FILE, FRESH_FOLDER, Kind, choose_place, discard, hold, replace
 from sim.errors import DamagedError, InputError
 from sim.files.atomic import remove_empty, remove_files, sweep
 from sim.files.checksums import check_lines, write_lines
 from sim.recording.format import RECORDING, WORK_PATH, is_whole
 
 TRAINED_FILES = r"positioner\.json|training\.json|weights\.safetensors|history\.npz|map\.npz|checkpoint\.pt"
-METRICS, WITHOUT_TRUTH = "metrics.json", "without_truth.json"
+METRICS, TRUTHLESS_METRICS = "metrics.json", "without_truth.json"
 """Figures of a run, and those of a run on a recording without truth."""
 FEATURE_FILES = r"features\.(safetensors|key)"
 
@@ -64,7 +64,7 @@ def list_runs(folder: Path) -> list[Path]:
     """Folders of runs in a folder, one or two levels down, in order of their names."""
     scenarios = (path for pattern in ("*", "*/*") for path in folder.glob(f"{pattern}/{RUN.first}"))
     found = {path.parent for path in scenarios if path.is_file()}
-    return sorted(path for path in found if path.name != FRESH)  # which is half a run
+    return sorted(path for path in found if path.name != FRESH_FOLDER)  # which is half a run
 
 
 def is_study(folder: Path) -> bool:
@@ -121,7 +121,7 @@ def claim(scenario: Scenario, folder: Path, fresh: bool) -> Iterator[Path]:
     belong to deepgps, is in use, or holds another run, or a plugin that the scenario needs is not loaded.
     """
     check_plugins(scenario)
-    cut_off = (folder / FRESH / COMPLETE).is_file()
+    cut_off = (folder / FRESH_FOLDER / COMPLETION_FILE).is_file()
     with hold(folder, RUN):
         if cut_off and fresh and open_run(folder) == scenario:
             fresh = False  # killed while replacing the old run; the replacement is finished now
@@ -190,7 +190,7 @@ def describe_work(folder: Path) -> str:
         [
             "a recording" if is_whole(folder / "recording") else "no finished recording",
             f"trained {' and '.join(trained)}" if trained else "nothing trained",
-            "measured" if any((folder / name).is_file() for name in (METRICS, WITHOUT_TRUTH)) else "not measured",
+            "measured" if any((folder / name).is_file() for name in (METRICS, TRUTHLESS_METRICS)) else "not measured",
         ]
     )
 

@@ -9,7 +9,7 @@ from typing import Any
 from deepgps.config.methods import title_of
 from deepgps.config.scenario import Scenario, list_settings, load_scenario, names_in
 from deepgps.config.spelling import as_option
-from deepgps.runs.run_folder import METRICS, RUN, WITHOUT_TRUTH, describe_no_run, list_runs, open_run
+from deepgps.runs.run_folder import METRICS, RUN, TRUTHLESS_METRICS, describe_no_run, list_runs, open_run
 from sim.errors import InputError
 from sim.files import SCENARIOS
 from sim.files.checksums import damaged, read_json
@@ -64,14 +64,14 @@ def _describe_errors(run: Path) -> str:
             return ", ".join(f"{title} {rms:.1f} ({median:.1f})" for title, rms, median in errors)
         except (LookupError, TypeError, ValueError, AttributeError):
             raise damaged(path, "it does not list the errors of methods") from None
-    if (run / WITHOUT_TRUTH).is_file():
+    if (run / TRUTHLESS_METRICS).is_file():
         return "no truth"
     return "not measured" if is_whole(run / "recording") else "no finished recording"
 
 
 def _find_time(run: Path) -> float:
     """When a run was measured, or else begun [s]."""
-    names = (METRICS, WITHOUT_TRUTH, RUN.first)
+    names = (METRICS, TRUTHLESS_METRICS, RUN.first)
     return next(run / name for name in names if (run / name).is_file()).stat().st_mtime
 
 

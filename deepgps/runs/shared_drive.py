@@ -21,7 +21,7 @@ from sim.recording.format import RECORDING, check_recording
 from sim.recording.manifest import PACKAGES
 
 STORE = "drives"  # Folder of the store in ``runs``
-STORED = re.compile(rf"[0-9a-f]{{8}}/[0-9a-f]{{8}}/({RECORDING.pattern})")  # Paths of the files in a store
+STORED_PATH = re.compile(rf"[0-9a-f]{{8}}/[0-9a-f]{{8}}/({RECORDING.pattern})")  # Paths of the files in a store
 log = logging.getLogger(__name__)
 
 
@@ -60,12 +60,12 @@ def keep_drive(scenario: Scenario, run: Path) -> None:
 
 def measure_store(runs: Path) -> int:
     """Bytes of all files in the store of a folder of runs, which runs may share."""
-    return sum(path.stat().st_size for path in list_files(runs / STORE, STORED))
+    return sum(path.stat().st_size for path in list_files(runs / STORE, STORED_PATH))
 
 
 def empty_store(runs: Path) -> None:
     """Remove all files in the store of a folder of runs; the runs keep theirs."""
-    remove_files(runs / STORE, STORED)
+    remove_files(runs / STORE, STORED_PATH)
 
 
 def _find(scenario: Scenario, run: Path, fits: Callable[[Path], bool]) -> Path | None:

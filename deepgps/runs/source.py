@@ -13,7 +13,7 @@ from typing import Any
 from deepgps.config.scenario import Scenario, Spell, clean_name, load_scenario, names_in, override_scenario
 from deepgps.config.spelling import as_option
 from deepgps.runs.inputs import RECORDING, digest, note_inputs, read_inputs
-from deepgps.runs.owned_folder import FRESH
+from deepgps.runs.owned_folder import FRESH_FOLDER
 from deepgps.runs.run_folder import RUN, default_folder, describe_no_run, join_methods, list_runs, open_run
 from sim.errors import InputError, shorten
 from sim.files import SCENARIOS
@@ -117,7 +117,7 @@ def choose_folder(recording: Path, scenario: Scenario) -> Path:
 
 def link_recording(recording: Path, run: Path) -> None:
     """Link a recording into a run's folder; raises InputError if it has another, or --fresh would remove it."""
-    home = run.parent if run.name == FRESH else run
+    home = run.parent if run.name == FRESH_FOLDER else run
     if home != run and recording.resolve().is_relative_to(home.resolve()):
         raise InputError(f"--out {home} holds the recording itself, which --fresh would remove; choose another folder")
     link = run / "recording"

@@ -24,8 +24,8 @@ from deepgps.terminal.progress import Report, ignore
 from sim.errors import InputError, shorten
 from sim.files import SCENARIOS
 
-MOST_RUNS = 10_000
-MOST_WRONG = 500  # Number of invalid runs after which planning stops
+MAX_RUNS = 10_000
+MAX_WRONG_RUNS = 500  # Number of invalid runs after which planning stops
 STRIDE = 100  # Runs planned between two progress reports
 
 
@@ -36,8 +36,8 @@ def plan_runs(study: Study, progress: Report = ignore) -> list[Plan]:
     invalid; the message describes the first problems and says how many more there are.
     """
     total = len(study.cases) * math.prod(map(len, study.axes.values())) * len(study.seeds)
-    if total > MOST_RUNS:
-        raise InputError(f"study {study.name} has {_write_count(total)} runs; a study has at most {MOST_RUNS}")
+    if total > MAX_RUNS:
+        raise InputError(f"study {study.name} has {_write_count(total)} runs; a study has at most {MAX_RUNS}")
     points = list(_points(study))
     total = len(points)
     plan_one, plans, problems, wrong = _make_planner(study), [], {}, 0
@@ -49,10 +49,10 @@ def plan_runs(study: Study, progress: Report = ignore) -> list[Plan]:
         except InputError as error:
             problems[str(error)] = None
             wrong += 1
-        if wrong >= MOST_WRONG:
+        if wrong >= MAX_WRONG_RUNS:
             break
     if problems:
-        stopped = f"; only the first {done + 1} of {total} runs were looked at" if wrong >= MOST_WRONG else ""
+        stopped = f"; only the first {done + 1} of {total} runs were looked at" if wrong >= MAX_WRONG_RUNS else ""
         text = join_problems(list(problems)[:MAX_PROBLEMS], len(problems))
         raise InputError(f"study {study.name}: {text}{stopped}")
     progress("plan", total, total)

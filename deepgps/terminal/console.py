@@ -11,13 +11,13 @@ from rich.console import Console
 from rich.text import Text
 
 LOGGERS = ("sim", "deepgps")
-LEAST_COLUMNS = 40
+MIN_COLUMNS = 40
 
 
 def _choose_width() -> int | None:
     """80 if the variable COLUMNS leaves too few columns for any table; None: the terminal's own width."""
     columns = os.environ.get("COLUMNS", "")
-    return 80 if columns.isdecimal() and int(columns) < LEAST_COLUMNS else None
+    return 80 if columns.isdecimal() and int(columns) < MIN_COLUMNS else None
 
 
 console = Console(highlight=False, width=_choose_width())

@@ -16,8 +16,8 @@ from deepgps.terminal.signals import describe_signal
 from sim.errors import InputError, WorkError, one_line
 from sim.plugins import locate_failure
 
-FULL = (errno.ENOSPC, errno.EDQUOT, None)  # None: numpy says how many bytes were written, but not why
-FAULT = "deepgps-fault-"  # Prefix of the names of files with a traceback
+FULL_DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, None)  # None: numpy says how many bytes were written, but not why
+FAULT_PREFIX = "deepgps-fault-"  # Prefix of the names of files with a traceback
 
 
 class Fault(Exception):
@@ -65,7 +65,7 @@ def write_fault(error: BaseException, words: Sequence[str], folder: Path | None)
         with suppress(OSError):
             if place is not None and place.is_dir():
                 # a new file under an unused name, so no link is followed
-                handle, path = tempfile.mkstemp(".txt", FAULT, place)
+                handle, path = tempfile.mkstemp(".txt", FAULT_PREFIX, place)
                 with os.fdopen(handle, "w", encoding="utf-8", errors="backslashreplace") as file:
                     file.write(text)
                 return Path(path)
@@ -100,7 +100,7 @@ def _report(error: BaseException, words: Sequence[str], folder: Path | None) -> 
 def _explain_file(error: OSError, folder: Path | None) -> str:
     path = error.filename or folder
     text = one_line(error) if error.strerror is None else error.strerror
-    if error.errno in FULL and folder is not None:
+    if error.errno in FULL_DISK_ERRORS and folder is not None:
         with suppress(OSError):
             text += f" ({shutil.disk_usage(folder).free / 1e6:.1f} MB free)"
     return f"{os.fsdecode(path)}: {text}" if isinstance(path, str | bytes | Path) else text

@@ -12,7 +12,7 @@ from sim.processes import END_SIGNALS
 
 PATIENCE_S = 2.0
 """Time for cleaning up after which a further signal ends the process at once; every file is intact at any time."""
-CONTINUED = ("run", "collect", "train", "evaluate", "study")
+RESUMABLE_COMMANDS = ("run", "collect", "train", "evaluate", "study")
 WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated", signal.SIGHUP: "hung up"}
 
 
@@ -49,7 +49,7 @@ def ignore_signals() -> int | None:
 
 def describe_signal(number: int, words: Sequence[str]) -> str:
     """The message when a signal ends the command line ``words``."""
-    again = "; the same command continues where it stopped" if words and words[0] in CONTINUED else ""
+    again = "; the same command continues where it stopped" if words and words[0] in RESUMABLE_COMMANDS else ""
     return WORDS[signal.Signals(number)] + again
 
 

@@ -7,7 +7,7 @@ import sys
 from contextlib import suppress
 from typing import TextIO
 
-UNREAD = (errno.EPIPE, errno.EIO)  # a pipe that is closed at its other end, a terminal that is gone
+CLOSED_OUTPUT_ERRORS = (errno.EPIPE, errno.EIO)  # a pipe that is closed at its other end, a terminal that is gone
 
 
 def open_streams() -> None:
@@ -42,7 +42,7 @@ class Outlet(io.FileIO):
         try:
             return super().write(data)
         except OSError as error:
-            if self.fileno() == 1 and error.errno not in UNREAD:
+            if self.fileno() == 1 and error.errno not in CLOSED_OUTPUT_ERRORS:
                 raise OSError(error.errno, error.strerror, "standard output") from None
             return len(memoryview(data).cast("B"))
 

@@ -39,20 +39,20 @@ TITLES = {
     "new_place": "never or seldom been here",
 }
 """Names of the causes in ``metrics.json``, and the causes in words."""
-FAULTY = ("black", "white", "covered", "frozen")
+FAULTY_CAUSES = ("black", "white", "covered", "frozen")
 """Causes of images that do not show where the camera is or how it leans."""
-WINDOW, NEARLY_ALL = 150, 0.95  # The robot is in another room if this share of so many consecutive images is new
-AROUND, OFTEN, MOSTLY = 50, 0.25, 0.5
+WINDOW, NEW_ROOM_SHARE = 150, 0.95  # The robot is in another room if this share of so many consecutive images is new
+LIGHT_WINDOW, RELIT_SHARE, MAIN_RELIT_SHARE = 50, 0.25, 0.5
 """The light has changed where values differ in the first share of so many images before and after an image; where they
 differ in the second share, it is also why others are refused."""
-MORE = 2.0
+CHANGED_ROOM_RATIO = 2.0
 """Refused images show that the room has changed if there are so many times more around than the drive explains."""
-FEWEST = 10  # Accepted images around an image, at least, that show whether the room has changed
+MIN_ACCEPTED = 10  # Accepted images around an image, at least, that show whether the room has changed
 LEAN_RINGS = 1.0 / 6.0
 """A camera has moved if it leans otherwise than in training by this part of a ring: 0.5 degrees with 32 rings."""
-RELIT = 2.0
+RELIT_RATIO = 2.0
 """An image is relit if its values differ this many times as much as those of one training image in a hundred."""
-NOTABLE = 0.05  # A drive has a cause if this share of its images does
+MIN_CAUSE_SHARE = 0.05  # A drive has a cause if this share of its images does
 
 Signs = dict[str, np.ndarray]
 """What N images show, each by itself: arrays (N,) by name, all but the last bool.
@@ -81,10 +81,10 @@ def label(
         other_room: Whether it is in a long stretch of images nearly all of which are of no known place (N,) bool.
     """
     known, refused = signs["known_place"], ~signs["accepted"]
-    relit = known & signs["relit"] & (relit_around >= OFTEN)
+    relit = known & signs["relit"] & (relit_around >= RELIT_SHARE)
     rules = {
-        **{name: signs[name] for name in FAULTY},
-        "light": relit | (refused & (relit_around >= MOSTLY)),
+        **{name: signs[name] for name in FAULTY_CAUSES},
+        "light": relit | (refused & (relit_around >= MAIN_RELIT_SHARE)),
         "": ~refused,
         "camera": known & leaning,
         "other_room": other_room,
@@ -120,7 +120,7 @@ class Causes:
     """What is wrong in a drive in use of N images."""
 
     label: np.ndarray  # Name of each image's cause in ``TITLES`` (N,) str; empty: none
-    accepted: np.ndarray  # Whether the method accepts it and it has no cause in ``FAULTY`` (N,) bool
+    accepted: np.ndarray  # Whether the method accepts it and it has no cause in ``FAULTY_CAUSES`` (N,) bool
     lean_deg: float | None  # Angle by which the camera leans otherwise than in training [deg]; None: no turns show it
     leans: bool  # Whether that is more than the images' size explains
     # Values of images over those in training, in the median of those of known places; None: there are none
@@ -129,8 +129,8 @@ class Causes:
     @property
     def named(self) -> list[str]:
         """Causes of the drive, that of most images first; a lean is one of all images."""
-        shares = {name: share for name, share in _count(self.label).items() if share >= NOTABLE}
-        seen = sum(share for name, share in shares.items() if name in FAULTY) < 0.5
+        shares = {name: share for name, share in _count(self.label).items() if share >= MIN_CAUSE_SHARE}
+        seen = sum(share for name, share in shares.items() if name in FAULTY_CAUSES) < 0.5
         if seen and self.leans:
             shares["camera"] = 1.0
         return sorted(shares, key=lambda name: -shares[name])
@@ -177,7 +177,7 @@ class Monitor:
         known = signs["known_place"]
         gain = float(np.median(compared.gain[known])) if known.any() else None
         causes = self.label(signs, leans and not corrected, min(WINDOW, len(images)))
-        accepted = signs["accepted"] & ~np.isin(causes, FAULTY)
+        accepted = signs["accepted"] & ~np.isin(causes, FAULTY_CAUSES)
         return Causes(causes, accepted, None if change is None else float(np.degrees(change)), leans, gain)
 
     def _find_lean(self, drive: Recording) -> tuple[Upright | None, float | None]:
@@ -203,7 +203,7 @@ class Monitor:
             "unusual": novelty > self.confidence.usual_m,
             "known_place": known,
             "beyond": compared.away_m > self.known.gap_m,
-            "relit": known & (compared.relit > RELIT * self.known.usual_light),
+            "relit": known & (compared.relit > RELIT_RATIO * self.known.usual_light),
             "correlation": compared.correlation,
         }
 
@@ -216,7 +216,7 @@ class Monitor:
             window: Images that a stretch of another room has at least.
         """
         accepted = signs["accepted"]
-        often_refused = share_around(~accepted) > MORE * self.confidence.refused
+        often_refused = share_around(~accepted) > CHANGED_ROOM_RATIO * self.confidence.refused
         changed = median_around(signs["correlation"], accepted) < self.known.usual_match
         changed |= ~signs["beyond"] & (signs["unusual"] | often_refused)
         other_room = find_long(~signs["known_place"] & ~accepted, window)
@@ -276,23 +276,23 @@ def find_long(new: np.ndarray, size: int = WINDOW) -> np.ndarray:
     """Which images (N,) are in a stretch of ``size`` images nearly all of which are new (N,) bool."""
     long = np.zeros(len(new), bool)
     for start in range(len(new) - size + 1):
-        if size and new[start : start + size].mean() >= NEARLY_ALL:
+        if size and new[start : start + size].mean() >= NEW_ROOM_SHARE:
             long[start : start + size] = True
     return long
 
 
 def share_around(found: np.ndarray) -> np.ndarray:
-    """Share of the images within ``AROUND`` of each image (N,) that have what is found (N,) bool."""
+    """Share of the images within ``LIGHT_WINDOW`` of each image (N,) that have what is found (N,) bool."""
     total, rows = np.append(0, np.cumsum(found)), np.arange(len(found))
-    first, last = np.maximum(rows - AROUND, 0), np.minimum(rows + AROUND + 1, len(found))
+    first, last = np.maximum(rows - LIGHT_WINDOW, 0), np.minimum(rows + LIGHT_WINDOW + 1, len(found))
     return (total[last] - total[first]) / np.maximum(last - first, 1)
 
 
 def median_around(values: np.ndarray, among: np.ndarray) -> np.ndarray:
-    """Median value (N,) of images within ``AROUND`` of each that count (N,) bool; NaN with fewer than ``FEWEST``."""
+    """Median (N,) of counted (N,) bool images within ``LIGHT_WINDOW`` of each; NaN with fewer than ``MIN_ACCEPTED``."""
     found = np.full(len(values), np.nan)
     for row in range(len(values)):
-        some = slice(max(row - AROUND, 0), row + AROUND + 1)
-        if among[some].sum() >= FEWEST:
+        some = slice(max(row - LIGHT_WINDOW, 0), row + LIGHT_WINDOW + 1)
+        if among[some].sum() >= MIN_ACCEPTED:
             found[row] = np.median(values[some][among[some]])
     return found

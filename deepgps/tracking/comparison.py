@@ -29,14 +29,14 @@ from sim.recording.format import Recording
 from sim.sensors.camera.mount import Upright
 
 CELL_M = 0.05  # Of the training images, one is known in each square of the map with sides of this length [m]
-NEAREST, ALIKE = 4, 4
+NEAREST_IMAGES, SIMILAR_IMAGES = 4, 4
 """Known images that an image is compared with: those nearest to its predicted position, and those most alike."""
 CYCLES, AZIMUTHS = 16, 32
 """Cycles around the circle that are kept of the images' values, and values around it that are compared."""
 STEPS = 12  # Steps of brightness, each with as many values, in which the light is compared
-CHECKED = 400  # Training images from which limits come, at most
-APART_M = 1.0  # Images farther apart on the map than this, or than half of the map, are of different places [m]
-AROUND = 32  # Images among which one of another segment is looked for
+CHECKED_IMAGES = 400  # Training images from which limits come, at most
+DIFFERENT_PLACE_M = 1.0  # Images farther apart on the map than this, or than half of it, are of different places [m]
+NEIGHBOURS = 32  # Images among which one of another segment is looked for
 CHUNK = 64
 
 
@@ -103,10 +103,10 @@ class KnownImages:
         known, mean = self._looks
         alike = take_looks(phases, mean) @ known.T
         if not apart_m:
-            near = find_nearest(self._tree, positions, NEAREST)[1]
-            return np.concatenate([near, find_largest(alike, ALIKE)], axis=1)
+            near = find_nearest(self._tree, positions, NEAREST_IMAGES)[1]
+            return np.concatenate([near, find_largest(alike, SIMILAR_IMAGES)], axis=1)
         away = np.linalg.norm(positions[:, None] - self.place, axis=2)
-        return find_largest(np.where(away > apart_m, alike, -np.inf), ALIKE)
+        return find_largest(np.where(away > apart_m, alike, -np.inf), SIMILAR_IMAGES)
 
     @cached_property
     def _tree(self) -> KDTree:
@@ -133,9 +133,9 @@ def learn_images(recording: Recording, upright: Upright | None, positions: np.nd
     known = KnownImages(positions[entry], phases, values)
     number = np.full(len(positions), -1)
     number[entry] = np.arange(len(entry))
-    some = np.arange(0, len(positions), -(-len(positions) // CHECKED))
+    some = np.arange(0, len(positions), -(-len(positions) // CHECKED_IMAGES))
     images, place, own = recording.observation[some], positions[some], number[some]
-    apart_m = min(APART_M, np.linalg.norm(positions - positions.mean(axis=0), axis=1).max() / 2.0)
+    apart_m = min(DIFFERENT_PLACE_M, np.linalg.norm(positions - positions.mean(axis=0), axis=1).max() / 2.0)
     here, elsewhere = (known.compare(images, place, upright, away_m, own) for away_m in (0.0, apart_m))
     return replace(
         known,
@@ -149,11 +149,11 @@ def learn_images(recording: Recording, upright: Upright | None, positions: np.nd
 def find_gaps(recording: Recording, positions: np.ndarray) -> np.ndarray:
     """Distance of observations at positions (N, 2) [m] from the nearest one of another segment (n,) [m].
 
-    It is at most that of the ``AROUND`` nearest.
+    It is at most that of the ``NEIGHBOURS`` nearest.
     """
     number, first = np.unique(recording.reading[:, 1], return_index=True)  # at a turn, two segments share an image
     place, segment = positions[number], recording.reading[first, 0]
-    away, rows = find_nearest(KDTree(place), place, AROUND)
+    away, rows = find_nearest(KDTree(place), place, NEIGHBOURS)
     return np.where(segment[rows] != segment[:, None], away, away[:, -1:]).min(axis=1)
 
 
@@ -185,15 +185,15 @@ def _set_upright(images: np.ndarray, upright: Upright | None) -> np.ndarray:
     return images if upright is None else upright(images)
 
 
-DARKEST, BRIGHTEST = 0.1, 0.9  # Quantiles of an image's values that tell whether it is white or black
-WHITE = 255.0
-BEYOND = 0.1  # An image is black or white beyond this share of what the most extreme training image leaves
+DARK_QUANTILE, BRIGHT_QUANTILE = 0.1, 0.9  # Quantiles of an image's values that tell whether it is white or black
+WHITE_VALUE = 255.0
+EXTREME_SHARE = 0.1  # An image is black or white beyond this share of what the most extreme training image leaves
 BLOCKS = 8, 32  # Blocks of an image, along the radius and around the circle
-FLAT, STEP = 0.02, 1.0
+FLAT_SHARE, FLAT_STEPS = 0.02, 1.0
 """Blocks are alike within this share of the image's brightness, and this many steps of its values besides."""
-MORE_FLAT, LESS_DETAIL = 0.2, 0.25
+FLAT_MARGIN, MIN_DETAIL = 0.2, 0.25
 """A lens is covered if the share of flat directions is larger by this, or the detail below this share of the least."""
-LIMITED = 500  # Training images, or pairs of them, from which these limits come, at most
+MAX_LIMIT_IMAGES = 500  # Training images, or pairs of them, from which these limits come, at most
 BATCH = 256
 
 
@@ -201,8 +201,8 @@ BATCH = 256
 class ImageLimits:
     """What training images have at the most, and consecutive ones at the least."""
 
-    bright: float  # Least of the images' ``BRIGHTEST`` quantiles
-    dark: float  # Largest of their ``DARKEST`` quantiles
+    bright: float  # Least of the images' ``BRIGHT_QUANTILE`` quantiles
+    dark: float  # Largest of their ``DARK_QUANTILE`` quantiles
     detail: float  # Least detail: mean second difference of blocks around the circle over their mean
     flat: float  # Largest share of directions in which all blocks are like those beside them
     change: float  # Change that only one in a hundred pairs of consecutive images is below; see ``measure_change``
@@ -211,10 +211,10 @@ class ImageLimits:
 def find_limits(recording: Recording) -> ImageLimits:
     """Limits from the training images of a recording."""
     images = recording.observation
-    some = np.unique(np.linspace(0, len(images) - 1, min(LIMITED, len(images))).astype(int))
+    some = np.unique(np.linspace(0, len(images) - 1, min(MAX_LIMIT_IMAGES, len(images))).astype(int))
     bright, dark, detail, flat = measure_images(images[some])
     moved = np.flatnonzero(find_driven(recording))
-    pairs = moved[:: -(-len(moved) // LIMITED) or 1]
+    pairs = moved[:: -(-len(moved) // MAX_LIMIT_IMAGES) or 1]
     change = measure_change(images, pairs)
     least = float(np.quantile(change, 0.01)) if len(change) else 0.0
     return ImageLimits(float(bright.min()), float(dark.max()), float(detail.min()), float(flat.max()), least)
@@ -236,9 +236,9 @@ def check_images(images: np.ndarray, moved: np.ndarray, limits: ImageLimits) -> 
     frozen, pairs = np.zeros(len(images), bool), np.flatnonzero(moved)
     frozen[pairs] = measure_change(images, pairs) < limits.change / 2.0
     return {
-        "black": bright < BEYOND * limits.bright,
-        "white": WHITE - dark < BEYOND * (WHITE - limits.dark),
-        "covered": (detail < LESS_DETAIL * limits.detail) | (flat > limits.flat + MORE_FLAT),
+        "black": bright < EXTREME_SHARE * limits.bright,
+        "white": WHITE_VALUE - dark < EXTREME_SHARE * (WHITE_VALUE - limits.dark),
+        "covered": (detail < MIN_DETAIL * limits.detail) | (flat > limits.flat + FLAT_MARGIN),
         "frozen": frozen,
     }
 
@@ -246,12 +246,12 @@ def check_images(images: np.ndarray, moved: np.ndarray, limits: ImageLimits) -> 
 def measure_images(images: np.ndarray) -> np.ndarray:
     """Bright and dark quantile, detail and share of flat directions (4, B) of images (B, rings, sectors, 3)."""
     grey = images.mean(axis=3, dtype=np.float32)
-    dark, bright = np.quantile(grey.reshape(len(grey), -1), [DARKEST, BRIGHTEST], axis=1)
+    dark, bright = np.quantile(grey.reshape(len(grey), -1), [DARK_QUANTILE, BRIGHT_QUANTILE], axis=1)
     blocks = take_blocks(grey)
     mean = blocks.mean(axis=(1, 2))
     around, outward = np.roll(blocks, -1, axis=2) - blocks, np.diff(blocks, axis=1)
-    detail = np.abs(np.roll(around, -1, axis=2) - around).mean(axis=(1, 2)) / np.maximum(mean, STEP)
-    alike = (FLAT * mean + STEP)[:, None, None]
+    detail = np.abs(np.roll(around, -1, axis=2) - around).mean(axis=(1, 2)) / np.maximum(mean, FLAT_STEPS)
+    alike = (FLAT_SHARE * mean + FLAT_STEPS)[:, None, None]
     flat = ((np.abs(around[:, :-1]) < alike) & (np.abs(outward) < alike)).all(axis=1).mean(axis=1)
     return np.stack([bright, dark, detail, flat])
 
@@ -264,7 +264,7 @@ def take_blocks(grey: np.ndarray) -> np.ndarray:
 def measure_change(images: np.ndarray, pairs: np.ndarray) -> np.ndarray:
     """Mean difference of the pixels of images ``pairs`` (P,) from the image before each, over their mean (P,)."""
     both = ((images[row].astype(np.float32), images[row - 1]) for row in pairs.tolist())
-    return np.array([np.abs(one - before).mean() / max(one.mean(), STEP) for one, before in both])
+    return np.array([np.abs(one - before).mean() / max(one.mean(), FLAT_STEPS) for one, before in both])
 
 
 def find_driven(recording: Recording) -> np.ndarray:

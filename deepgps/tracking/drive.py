@@ -23,13 +23,13 @@ from deepgps.data.turns import (
 )
 from deepgps.diagnosis.diagnosis import apply_diagnosis, can_diagnose, diagnose
 from deepgps.diagnosis.gaps import mend_stuck
-from deepgps.tracking.motion import STILL, Motion, compose, make_motion, rotate
+from deepgps.tracking.motion import NO_MOTION, Motion, compose, make_motion, rotate
 from sim.recording.format import Recording
 from sim.recording.turns import KINDS, NO_IMAGE
 from sim.sensors.encoder import expect_variance
 
-WAY = 0.005  # Standard deviation of a way by the wheels, as a part of it, beside the errors of encoders
-ASIDE_M, BENT_RAD = 0.002, 0.02
+DISTANCE_STD_SHARE = 0.005  # Standard deviation of a way by the wheels, as a part of it, beside the errors of encoders
+LATERAL_STD_M, HEADING_STD_RAD = 0.002, 0.02
 """Standard deviations of the place beside a straight line and of the heading, after a metre [m], [rad]."""
 
 
@@ -138,13 +138,13 @@ def _add_segment(
     there = bool(nodes) and max(nodes[-1].observation, nodes[-2:][0].observation) == seen[0]
     if not there and not shares:
         nodes.append(_Node(seen[0], NO_IMAGE, int(run[0]), pending))
-        pending = STILL
+        pending = NO_MOTION
     for number in range(1, len(run)):
         gap, made_of = way[number] - way[number - 1], max(1, seen[number] - seen[number - 1])
         long = max(abs(float(gap.mean())), usual_m)
         ahead = drive_straight(gap, expect_variance(odometry, long, made_of), curvature)
         nodes.append(_Node(seen[number], NO_IMAGE, int(run[number]), pending and compose(pending, ahead)))
-        pending = STILL
+        pending = NO_MOTION
 
 
 def _add_turn(
@@ -167,7 +167,7 @@ def _add_turn(
     if (image := int(recording.turns.image[number])) == NO_IMAGE:
         return turn
     nodes.append(_Node(NO_IMAGE, image, reading, turn))
-    return STILL
+    return NO_MOTION
 
 
 def drive_straight(wheels_m: np.ndarray, variance: float, curvature: float = 0.0) -> Motion:
@@ -178,5 +178,9 @@ def drive_straight(wheels_m: np.ndarray, variance: float, curvature: float = 0.0
     way_m, apart_m = float(wheels_m.mean()), float(np.diff(wheels_m)[0])
     bent, long = curvature * way_m, abs(way_m)
     step = way_m * np.array([np.cos(bent / 2.0), np.sin(bent / 2.0)])
-    spread = [variance + (WAY * way_m) ** 2 + (apart_m / 2.0) ** 2, ASIDE_M**2 * long, BENT_RAD**2 * long]
+    spread = [
+        variance + (DISTANCE_STD_SHARE * way_m) ** 2 + (apart_m / 2.0) ** 2,
+        LATERAL_STD_M**2 * long,
+        HEADING_STD_RAD**2 * long,
+    ]
     return Motion(step, bent, np.diag(spread))

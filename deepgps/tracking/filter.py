@@ -18,20 +18,20 @@ from deepgps.tracking.fix import Fix, Trail, add_image, begin_trail, break_off, 
 from deepgps.tracking.motion import SCALE_STD, Motion, invert, move
 from sim.geometry import wrap
 
-MOST = 12  # Most hypotheses that are kept
-MOST_EVIDENCE = 4.0  # Largest evidence of one image: more would trust the model of its errors too far
-MOST_BY_REFUSED = 4.0
+MAX_HYPOTHESES = 12  # Most hypotheses that are kept
+MAX_EVIDENCE = 4.0  # Largest evidence of one image: more would trust the model of its errors too far
+MAX_REFUSED_EVIDENCE = 4.0
 """Largest evidence of a hypothesis by images that their method refuses, so that they alone never make one certain."""
-LEAD = 30.0  # Largest evidence of a hypothesis, after which it can be overtaken: the robot may be carried at any time
-SHARED_M, SHARED_RAD = 0.1, 0.2
+MAX_LEAD = 30.0  # Largest evidence of a hypothesis, so that it can be overtaken: the robot may be carried at any time
+SHARED_ERROR_M, SHARED_ERROR_RAD = 0.1, 0.2
 """Images of places or headings that are closer share their errors of position and yaw [m], [rad]."""
-EVIDENCE_M = 0.25  # Way after which an image is as much evidence as one of a place far away [m]
-REFUSED = 4.0  # Factor of the errors of images that their method refuses: they are alike over a long way
-NEAR_M, NEAR_RAD = 0.3, 0.35  # No hypothesis begins so near to another one [m], [rad]
-ALIKE_M, ALIKE_RAD = 0.05, 0.1
+EVIDENCE_DISTANCE_M = 0.25  # Way after which an image is as much evidence as one of a place far away [m]
+REFUSED_ERROR_FACTOR = 4.0  # Factor of the errors of images that their method refuses: they are alike over a long way
+MIN_START_GAP_M, MIN_START_GAP_RAD = 0.3, 0.35  # No hypothesis begins so near to another one [m], [rad]
+MERGE_M, MERGE_RAD = 0.05, 0.1
 """Of two hypotheses that have come so near to each other the likelier one is kept [m], [rad]."""
 FAN = 8  # Headings at which hypotheses begin where an image tells no yaw
-CERTAIN = 0.999  # Probability from which an estimate is accepted
+ACCEPTANCE_PROBABILITY = 0.999  # Probability from which an estimate is accepted
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,9 @@ class Estimate:
     position_std: float  # Its standard deviation along each axis [m]
     yaw: float  # Yaw [rad]
     yaw_std: float  # Its standard deviation [rad]
-    probability: float  # That the robot is near it (``NEAR_M``), and neither at another hypothesis nor elsewhere
+    probability: (
+        float  # That the robot is near it (``MIN_START_GAP_M``), and neither at another hypothesis nor elsewhere
+    )
     accepted: bool  # Whether it is certain enough to be used
 
 
@@ -89,14 +91,16 @@ def see(state: State, fix: Fix | None) -> State:
     if fix is None or not fix.usable:
         return state
     trail = add_image(state.trail, fix)
-    fix = replace(fix, position_std=fix.position_std * find_factor(trail) * (1.0 if fix.accepted else REFUSED))
-    moved, counts = state.moved_m / SHARED_M, min(1.0, state.moved_m / EVIDENCE_M)
-    own_place, own_yaw = np.sqrt(np.clip([moved, moved + state.turned_rad / SHARED_RAD], 1e-6, 1.0)).tolist()
+    fix = replace(
+        fix, position_std=fix.position_std * find_factor(trail) * (1.0 if fix.accepted else REFUSED_ERROR_FACTOR)
+    )
+    moved, counts = state.moved_m / SHARED_ERROR_M, min(1.0, state.moved_m / EVIDENCE_DISTANCE_M)
+    own_place, own_yaw = np.sqrt(np.clip([moved, moved + state.turned_rad / SHARED_ERROR_RAD], 1e-6, 1.0)).tolist()
     weak = replace(fix, position_std=fix.position_std / own_place, yaw_std=fix.yaw_std / own_yaw)
     updated = update(state.mean, state.covariance, weak)
-    evidence = state.evidence + counts * np.minimum(updated.likelihood, MOST_EVIDENCE)
+    evidence = state.evidence + counts * np.minimum(updated.likelihood, MAX_EVIDENCE)
     if not fix.accepted:  # what was certain does not rise, and nothing becomes so
-        certain = state.evidence > MOST_BY_REFUSED
+        certain = state.evidence > MAX_REFUSED_EVIDENCE
         evidence = np.where(certain, np.minimum(evidence, state.evidence), limit(evidence, ~certain))
     state = State(updated.mean, updated.covariance, evidence, trail, 0.0, 0.0)
     return _keep_best(_add_new(state, fix))
@@ -107,7 +111,7 @@ def estimate(state: State) -> Estimate:
     if not len(state.mean):
         return Estimate(np.full(2, np.nan), np.inf, np.nan, np.inf, 0.0, False)
     best = int(state.evidence.argmax())
-    near = _find_near(state.mean[best : best + 1], state.mean, NEAR_M, NEAR_RAD)[0]
+    near = _find_near(state.mean[best : best + 1], state.mean, MIN_START_GAP_M, MIN_START_GAP_RAD)[0]
     probability = float(weigh(state)[near].sum())
     mean, variance = state.mean[best], np.diagonal(state.covariance[best])
     return Estimate(
@@ -116,7 +120,7 @@ def estimate(state: State) -> Estimate:
         float(wrap(mean[2])),
         float(np.sqrt(variance[2])),
         probability,
-        probability >= CERTAIN,
+        probability >= ACCEPTANCE_PROBABILITY,
     )
 
 
@@ -128,8 +132,8 @@ def weigh(state: State) -> np.ndarray:
 
 
 def limit(evidence: np.ndarray, unsure: np.ndarray) -> np.ndarray:
-    """Evidence (K,), where ``unsure`` (K,) lowered alike, so that none of it exceeds ``MOST_BY_REFUSED``."""
-    excess = max(float(evidence[unsure].max(initial=0.0)) - MOST_BY_REFUSED, 0.0)
+    """Evidence (K,), where ``unsure`` (K,) lowered alike, so that none of it exceeds ``MAX_REFUSED_EVIDENCE``."""
+    excess = max(float(evidence[unsure].max(initial=0.0)) - MAX_REFUSED_EVIDENCE, 0.0)
     return evidence - np.where(unsure, excess, 0.0)
 
 
@@ -140,7 +144,7 @@ def _add_new(state: State, fix: Fix) -> State:
         yaw, std, weight = np.arange(FAN) * 2.0 * np.pi / FAN, np.full(FAN, np.pi / FAN), np.full(FAN, 1.0 / FAN)
     one = np.ones(len(yaw))
     mean = np.column_stack([np.outer(one, fix.position), wrap(yaw), 0.0 * one])
-    new = ~_find_near(mean, state.mean, NEAR_M, NEAR_RAD).any(axis=1)
+    new = ~_find_near(mean, state.mean, MIN_START_GAP_M, MIN_START_GAP_RAD).any(axis=1)
     spread = np.column_stack([one * fix.position_std, one * fix.position_std, std, one * SCALE_STD])
     return replace(
         state,
@@ -151,22 +155,22 @@ def _add_new(state: State, fix: Fix) -> State:
 
 
 def _keep_best(state: State) -> State:
-    """The likeliest hypotheses, the first with at most the evidence ``LEAD``.
+    """The likeliest hypotheses, the first with at most the evidence ``MAX_LEAD``.
 
     Doubles are left out, and those that are less likely than an unknown pose.
     """
     order = np.argsort(-state.evidence, kind="stable")
     mean, evidence = state.mean[order], state.evidence[order]
-    double = np.tril(_find_near(mean, mean, ALIKE_M, ALIKE_RAD), -1).any(axis=1)
-    hopeless = evidence < -MOST_EVIDENCE
+    double = np.tril(_find_near(mean, mean, MERGE_M, MERGE_RAD), -1).any(axis=1)
+    hopeless = evidence < -MAX_EVIDENCE
     hopeless[0] = False
-    kept = order[~double & ~hopeless][:MOST]
+    kept = order[~double & ~hopeless][:MAX_HYPOTHESES]
     evidence = state.evidence[kept]
     return replace(
         state,
         mean=state.mean[kept],
         covariance=state.covariance[kept],
-        evidence=evidence - max(float(evidence[0]) - LEAD, 0.0),
+        evidence=evidence - max(float(evidence[0]) - MAX_LEAD, 0.0),
     )
 
 
@@ -176,7 +180,7 @@ def _find_near(one: np.ndarray, other: np.ndarray, near_m: float, near_rad: floa
     return (np.hypot(away[..., 0], away[..., 1]) < near_m) & (np.abs(wrap(away[..., 2])) < near_rad)
 
 
-AGREEMENT = MOST_EVIDENCE  # Evidence of two states that agree, against one of them alone
+AGREEMENT = MAX_EVIDENCE  # Evidence of two states that agree, against one of them alone
 PRIOR = np.diag([0.0, 0.0, 0.0, SCALE_STD**-2])
 
 
@@ -215,7 +219,7 @@ def fuse(forward: State, backward: State) -> State:
     one, other = (part.ravel() for part in np.indices((len(forward.mean), len(backward.mean))))
     mean, covariance, squared = _combine(forward, one, backward, other)
     agreed = forward.evidence[one] + backward.evidence[other] + AGREEMENT - 0.5 * squared
-    unsure = np.maximum(forward.evidence[one], backward.evidence[other]) <= MOST_BY_REFUSED
+    unsure = np.maximum(forward.evidence[one], backward.evidence[other]) <= MAX_REFUSED_EVIDENCE
     evidence = np.concatenate([forward.evidence, backward.evidence, limit(agreed, unsure)])
     return State(
         np.concatenate([forward.mean, backward.mean, mean]),

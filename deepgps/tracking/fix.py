@@ -10,17 +10,17 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from deepgps.tracking.motion import STILL, Motion, compose
+from deepgps.tracking.motion import NO_MOTION, Motion, compose
 from sim.geometry import wrap
 
 if TYPE_CHECKING:
     from deepgps.positioner.pose import Poses
 
-UNDERSTATED, FLOOR_M = 2.0, 0.002
+POSITION_STD_FACTOR, MIN_POSITION_STD_M = 2.0, 0.002
 """Errors of positions over ``Poses.position_std``, which knows only how straight segments are; and their least standard
 deviation [m]. Measured on drives in use of two rooms: 1.7 and 2.1."""
-USUAL_M = 0.02  # Standard deviation of the positions of methods that give none [m]
-OF_RADIUS_68 = 1.5096
+USUAL_POSITION_STD_M = 0.02  # Standard deviation of the positions of methods that give none [m]
+RADIUS_68_PER_STD = 1.5096
 """Radius of 68 % over the standard deviation along one axis, of a normal distribution in the plane."""
 
 
@@ -59,10 +59,14 @@ def take_fixes(poses: "Poses") -> list[Fix]:
 
 def _find_std(pose: "Poses", accepted: bool) -> float:
     if pose.radius_68 is not None:
-        return max(float(pose.radius_68) / OF_RADIUS_68, FLOOR_M)
+        return max(float(pose.radius_68) / RADIUS_68_PER_STD, MIN_POSITION_STD_M)
     if not accepted:
         return np.inf
-    return USUAL_M if pose.position_std is None else max(UNDERSTATED * float(pose.position_std), FLOOR_M)
+    return (
+        USUAL_POSITION_STD_M
+        if pose.position_std is None
+        else max(POSITION_STD_FACTOR * float(pose.position_std), MIN_POSITION_STD_M)
+    )
 
 
 def _take_yaws(pose: "Poses") -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -74,11 +78,11 @@ def _take_yaws(pose: "Poses") -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return yaw[known], np.full(known.sum(), float(pose.yaw_std)), weight[known]
 
 
-FREEDOM = 4.0  # Degrees of freedom of the errors of images
+DEGREES_OF_FREEDOM = 4.0  # Degrees of freedom of the errors of images
 ROUNDS = 4  # Rounds in which the variance of an image is enlarged
-OUTLIER = 0.1  # Probability that an image says nothing of the pose
-LEAST_WITHOUT_YAW = 0.05  # Probability that no yaw of an image is right, at least
-AREA_M2 = 25.0  # Area over which the place of a robot that is lost is spread: only its order of magnitude matters [m^2]
+OUTLIER_PROBABILITY = 0.1  # Probability that an image says nothing of the pose
+MIN_NO_YAW_PROBABILITY = 0.05  # Probability that no yaw of an image is right, at least
+LOST_AREA_M2 = 25.0  # Area over which a lost robot is spread: only its order of magnitude matters [m^2]
 
 
 class Updated(NamedTuple):
@@ -92,23 +96,23 @@ class Updated(NamedTuple):
 
 def update(mean: np.ndarray, covariance: np.ndarray, fix: Fix) -> Updated:
     """Update hypotheses (K, 4) with covariances (K, 4, 4) by an image, each with the yaw that fits it best."""
-    without = max(1.0 - float(fix.yaw_weight.sum()), LEAST_WITHOUT_YAW)
+    without = max(1.0 - float(fix.yaw_weight.sum()), MIN_NO_YAW_PROBABILITY)
     tried = [_update(mean, covariance, fix, None, without)]
     tried += [_update(mean, covariance, fix, one, float(fix.yaw_weight[one])) for one in range(len(fix.yaw))]
     likelihood = np.stack([one.likelihood for one in tried])
     best, rows = likelihood.argmax(axis=0), np.arange(len(mean))
-    right = likelihood.max(axis=0) + np.log(1.0 - OUTLIER)
+    right = likelihood.max(axis=0) + np.log(1.0 - OUTLIER_PROBABILITY)
     return Updated(
         np.stack([one.mean for one in tried])[best, rows],
         np.stack([one.covariance for one in tried])[best, rows],
-        np.logaddexp(right, np.log(OUTLIER)),
+        np.logaddexp(right, np.log(OUTLIER_PROBABILITY)),
     )
 
 
 def _update(mean: np.ndarray, covariance: np.ndarray, fix: Fix, number: int | None, weight: float) -> Updated:
     """Update by the position, and by one of the yaws unless ``number`` is None, which has this probability."""
     missed, variance = fix.position - mean[:, :2], np.full(2, fix.position_std**2)
-    spread_of_lost = AREA_M2 + 2.0 * np.pi * fix.position_std**2
+    spread_of_lost = LOST_AREA_M2 + 2.0 * np.pi * fix.position_std**2
     if number is not None:
         missed = np.column_stack([missed, wrap(fix.yaw[number] - mean[:, 2])])
         variance, spread_of_lost = np.append(variance, fix.yaw_std[number] ** 2), 2.0 * np.pi * spread_of_lost
@@ -116,7 +120,7 @@ def _update(mean: np.ndarray, covariance: np.ndarray, fix: Fix, number: int | No
     expected = covariance[:, :size, :size] + np.diag(variance)
     squared = np.einsum("ki,ki->k", missed, np.linalg.solve(expected, missed[..., None])[..., 0])
     density = -0.5 * np.linalg.slogdet(2.0 * np.pi * expected)[1]
-    likelihood = density - 0.5 * (FREEDOM + size) * np.log1p(squared / FREEDOM)
+    likelihood = density - 0.5 * (DEGREES_OF_FREEDOM + size) * np.log1p(squared / DEGREES_OF_FREEDOM)
     return Updated(*_fit(mean, covariance, missed, variance), np.log(weight * spread_of_lost) + likelihood)
 
 
@@ -126,7 +130,7 @@ def _fit(
     size, left, uncertain = len(variance), missed, np.zeros(missed.shape)
     for _ in range(ROUNDS):
         squared = ((left**2 + uncertain) / variance).sum(axis=1)
-        larger = np.maximum((FREEDOM + squared) / (FREEDOM + size), 1.0)[:, None, None]
+        larger = np.maximum((DEGREES_OF_FREEDOM + squared) / (DEGREES_OF_FREEDOM + size), 1.0)[:, None, None]
         gain = covariance[:, :, :size] @ np.linalg.inv(covariance[:, :size, :size] + larger * np.diag(variance))
         step = (gain @ missed[..., None])[..., 0]
         after = covariance - gain @ covariance[:, :size, :]
@@ -134,13 +138,13 @@ def _fit(
     return mean + step, (after + after.mT) / 2.0
 
 
-APART_M = 0.5  # Way between two images that are compared [m]
-FARTHEST_M = 1.0  # Images farther apart are not compared, since odometry errs too [m]
-WINDOW, BEFORE = 60, 10  # Comparisons of which the median is taken, and how many count as expected before any image
-OF_MEDIAN = 0.455  # Median of a squared standard normal variable
-MOST = 100.0
+COMPARISON_DISTANCE_M = 0.5  # Way between two images that are compared [m]
+MAX_COMPARISON_M = 1.0  # Images farther apart are not compared, since odometry errs too [m]
+WINDOW, PRIOR_COMPARISONS = 60, 10  # Comparisons whose median is taken, and those counted as expected before any image
+SQUARED_NORMAL_MEDIAN = 0.455  # Median of a squared standard normal variable
+MAX_ERROR_FACTOR = 100.0
 """Errors are at most so many times those expected, and never less than these, which the median of heavy tails hides."""
-LEAST_M = 0.05  # Way after which another image is kept, so that a robot that does not move does not fill the trail [m]
+TRAIL_SPACING_M = 0.05  # Distance between the images kept, so that a robot at rest does not fill the trail [m]
 
 
 @dataclass(frozen=True)
@@ -162,7 +166,7 @@ class Trail:
 
 def begin_trail() -> Trail:
     """A trail without an image."""
-    return Trail((), np.full(BEFORE, OF_MEDIAN))
+    return Trail((), np.full(PRIOR_COMPARISONS, SQUARED_NORMAL_MEDIAN))
 
 
 def break_off(trail: Trail) -> Trail:
@@ -181,23 +185,23 @@ def extend(trail: Trail, motion: Motion, scale: float) -> Trail:
 
 def add_image(trail: Trail, fix: Fix) -> Trail:
     """The trail with an image, compared with the last one that is far enough away."""
-    if trail.images and trail.images[-1].way_m < LEAST_M:
+    if trail.images and trail.images[-1].way_m < TRAIL_SPACING_M:
         return trail
-    motion, way_m, squared, kept = STILL, 0.0, trail.squared, [Seen(fix, STILL)]
+    motion, way_m, squared, kept = NO_MOTION, 0.0, trail.squared, [Seen(fix, NO_MOTION)]
     for seen in reversed(trail.images):
         before, way_m = way_m, way_m + seen.way_m
-        if way_m > FARTHEST_M:
+        if way_m > MAX_COMPARISON_M:
             break
         motion = compose(seen.motion, motion)
         kept.insert(0, seen)
-        if before < APART_M <= way_m:
+        if before < COMPARISON_DISTANCE_M <= way_m:
             squared = np.append(squared, _compare(fix, seen.fix, motion))[-WINDOW:]
     return Trail(tuple(kept), squared)
 
 
 def find_factor(trail: Trail) -> float:
     """Factor of the standard deviations of images."""
-    return float(np.clip(np.sqrt(np.median(trail.squared) / OF_MEDIAN), 1.0, MOST))
+    return float(np.clip(np.sqrt(np.median(trail.squared) / SQUARED_NORMAL_MEDIAN), 1.0, MAX_ERROR_FACTOR))
 
 
 def _compare(fix: Fix, earlier: Fix, motion: Motion) -> float:

@@ -7,9 +7,9 @@ import numpy as np
 from sim.errors import InputError
 from sim.geometry import wrap
 
-SCALE_STD, SCALE_M = 0.02, 100.0
+SCALE_STD, SCALE_DISTANCE_M = 0.02, 100.0
 """Standard deviation of the odometry's scale against the map's, and the way in which it changes [m]."""
-QUARTER = np.array([[0.0, -1.0], [1.0, 0.0]])  # Derivative of a rotation at zero
+QUARTER_TURN = np.array([[0.0, -1.0], [1.0, 0.0]])  # Derivative of a rotation at zero
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ def make_motion(
     return Motion(np.array([forward_m, left_m]), float(turn_rad), np.diag(spread**2))
 
 
-STILL = make_motion(0.0)  # No motion
+NO_MOTION = make_motion(0.0)  # No motion
 
 
 def invert(motion: Motion) -> Motion:
@@ -65,7 +65,7 @@ def invert(motion: Motion) -> Motion:
     back = -rotate(np.array(-motion.turn)) @ motion.step
     change = np.zeros((3, 3))
     change[:2, :2] = -rotate(np.array(-motion.turn))
-    change[:2, 2] = -QUARTER @ back
+    change[:2, 2] = -QUARTER_TURN @ back
     change[2, 2] = -1.0
     return Motion(back, -motion.turn, change @ motion.covariance @ change.T)
 
@@ -85,14 +85,14 @@ def rotate(angle: np.ndarray) -> np.ndarray:
 def move(mean: np.ndarray, covariance: np.ndarray, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
     """Poses with the scale of the odometry (K, 4) and their covariances (K, 4, 4) after a motion, linearised.
 
-    The scale returns to 1 in ``SCALE_M``, and its standard deviation to ``SCALE_STD``.
+    The scale returns to 1 in ``SCALE_DISTANCE_M``, and its standard deviation to ``SCALE_STD``.
     """
-    turned, kept = rotate(mean[:, 2]), np.exp(-motion.length_m / SCALE_M)
+    turned, kept = rotate(mean[:, 2]), np.exp(-motion.length_m / SCALE_DISTANCE_M)
     way = turned @ motion.step
     step = way * (1.0 + mean[:, 3:])
     moved = np.column_stack([mean[:, :2] + step, wrap(mean[:, 2] + motion.turn), mean[:, 3] * kept])
     change, noise = np.tile(np.eye(4), (len(mean), 1, 1)), np.tile(np.eye(4)[:, :3], (len(mean), 1, 1))
-    change[:, :2, 2] = step @ QUARTER.T
+    change[:, :2, 2] = step @ QUARTER_TURN.T
     change[:, :2, 3] = way
     change[:, 3, 3] = kept
     noise[:, :2, :2] = turned
@@ -106,7 +106,7 @@ def compose(first: Motion, second: Motion) -> Motion:
     turned = rotate(np.array(first.turn))
     step = turned @ second.step
     change, own = np.eye(3), np.eye(3)
-    change[:2, 2] = QUARTER @ step
+    change[:2, 2] = QUARTER_TURN @ step
     own[:2, :2] = turned
     covariance = change @ first.covariance @ change.T + own @ second.covariance @ own.T
     return Motion(first.step + step, first.turn + second.turn, covariance)

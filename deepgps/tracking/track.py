@@ -53,7 +53,7 @@ PATHS = {
     "dead_reckoning": "wheels alone",
 }
 """The paths of a drive and their titles; those by odometry begin at the first image."""
-KEPT = 4  # Hypotheses of the filter that are kept at each image
+KEPT_HYPOTHESES = 4  # Hypotheses of the filter that are kept at each image
 
 
 @dataclass(frozen=True)
@@ -73,9 +73,9 @@ class Track:
     turn_image: np.ndarray  # Turn image of each (M,), or -1
     time: np.ndarray  # Time of each (M,) [s]
     paths: dict[str, TrackedPath]  # The paths by their names in ``PATHS``
-    # The likeliest poses that the filter holds at each image (M, ``KEPT``, 3); NaN where it holds fewer
+    # The likeliest poses that the filter holds at each image (M, ``KEPT_HYPOTHESES``, 3); NaN where it holds fewer
     hypothesis: np.ndarray
-    probability: np.ndarray  # Their probabilities (M, ``KEPT``)
+    probability: np.ndarray  # Their probabilities (M, ``KEPT_HYPOTHESES``)
 
 
 def track_drive(positioner: Positioner, recording: Recording, progress: Report) -> Track:
@@ -191,10 +191,13 @@ def _reckon(recording: Recording, drive: Drive, mirrored: bool, first: tuple[int
 
 
 def _list_hypotheses(states: Sequence[State]) -> tuple[np.ndarray, np.ndarray]:
-    hypothesis, probability = np.full((len(states), KEPT, 3), np.nan), np.zeros((len(states), KEPT))
+    hypothesis, probability = (
+        np.full((len(states), KEPT_HYPOTHESES, 3), np.nan),
+        np.zeros((len(states), KEPT_HYPOTHESES)),
+    )
     for row, state in enumerate(states):
         weight = weigh(state)
-        order = np.argsort(-weight, kind="stable")[:KEPT]
+        order = np.argsort(-weight, kind="stable")[:KEPT_HYPOTHESES]
         hypothesis[row, : len(order)], probability[row, : len(order)] = state.mean[order, :3], weight[order]
     return hypothesis, probability
 

@@ -19,7 +19,7 @@ from sim.errors import InputError, WorkError, one_line
 
 HOST = "127.0.0.1"  # everything that listens here is for this machine alone
 ANSWER_S = 1.5
-HELLO = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes((0, 0, 0, 4, 0, 0, 0, 0, 0))
+CLIENT_PREFACE = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes((0, 0, 0, 4, 0, 0, 0, 0, 0))
 """The opening of an HTTP/2 client: a fixed text and a settings frame, here empty. The server opens with a frame too."""
 OPENING_S, SENDING_S = 60.0, 600.0
 NO_WINDOW = "the Rerun viewer cannot open a window; without a display, --live HOST:PORT streams to a viewer elsewhere"
@@ -50,13 +50,13 @@ def knock(url: str) -> Literal["viewer", "stranger", "nobody"]:
         return "viewer"  # its connection is encrypted by TLS, which is not checked
     try:
         with socket.create_connection((parts.hostname or "", parts.port or 0), ANSWER_S) as connection:
-            connection.sendall(HELLO)
+            connection.sendall(CLIENT_PREFACE)
             frame = connection.recv(9)
     except TimeoutError:
         return "nobody"
     except OSError:
         return "stranger"
-    return "viewer" if frame[3:4] == HELLO[-6:-5] else "stranger"
+    return "viewer" if frame[3:4] == CLIENT_PREFACE[-6:-5] else "stranger"
 
 
 def find_viewer() -> str:

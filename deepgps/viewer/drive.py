@@ -14,7 +14,7 @@ from deepgps.diagnosis.store import read_diagnosis
 from deepgps.evaluation.segment_errors import measure_distances, measure_segments, reckon_path
 from deepgps.reports import plots
 from deepgps.reports.wheels_page import describe_encoders, draw_segments, write_markdown
-from deepgps.viewer.pictures import LARGE, encode_jpeg, log_jpegs, make_warp, warp_round
+from deepgps.viewer.pictures import LARGE_ENTITY, encode_jpeg, log_jpegs, make_warp, warp_round
 from deepgps.viewer.scene import LAYER_M, lift
 from deepgps.viewer.stream import Clock, Rows, drive_clock, put, put_text, send_rows, send_series
 from sim.recording.format import Recording, Truth
@@ -24,12 +24,12 @@ from sim.settings import CameraSettings
 ROBOT = "world/drive/robot"
 BODY_M = 0.14
 Colour = tuple[int, int, int]
-TRUE: Colour = (90, 160, 255)
-LEG: Colour = (255, 196, 60)
-WRONG: Colour = (232, 37, 79)
-RIGHT: Colour = (63, 208, 165)
-RECKONED: Colour = (255, 150, 40)
-IMAGES_AT_MOST = 4_000  # more pictures than anyone plays; keeps a long drive's file small
+TRUE_COLOUR: Colour = (90, 160, 255)
+LEG_COLOUR: Colour = (255, 196, 60)
+WRONG_COLOUR: Colour = (232, 37, 79)
+RIGHT_COLOUR: Colour = (63, 208, 165)
+ODOMETRY_COLOUR: Colour = (255, 150, 40)
+MAX_IMAGES = 4_000  # more pictures than anyone plays; keeps a long drive's file small
 ROUND_PX = 144
 POLAR_PICTURES = {"fisheye": "Fisheye", "polar": "Polar image, zenith at the top"}
 """Pictures of a polar image by name, with their titles."""
@@ -47,13 +47,15 @@ def log_drive(stream: rr.RecordingStream, recording: Recording, truth: Truth, la
     seen, first = np.unique(observation, return_index=True)
     log_robot(stream, find_track_m(recording), camera_of(recording).height_m)
     log_poses(stream, truth.pose[seen], clock(recording.time[first]))
-    log_path(stream, "world/drive", segment, truth.pose[observation, :2], (TRUE, LEG), recording.time, clock)
+    log_path(
+        stream, "world/drive", segment, truth.pose[observation, :2], (TRUE_COLOUR, LEG_COLOUR), recording.time, clock
+    )
     _log_distances(stream, recording, truth)
     log_images(stream, recording)
     if large:
         shown = [number for number in large if number in set(seen.tolist())]
         time = recording.time[first[np.searchsorted(seen, shown)]]
-        log_jpegs(stream, f"drive/{LARGE}", (large[number] for number in shown), clock(time))
+        log_jpegs(stream, f"drive/{LARGE_ENTITY}", (large[number] for number in shown), clock(time))
 
 
 def log_robot(stream: rr.RecordingStream, track_m: float, height_m: float) -> None:
@@ -67,10 +69,10 @@ def log_robot(stream: rr.RecordingStream, track_m: float, height_m: float) -> No
             colors=[(60, 66, 80), (180, 184, 190)],
             fill_mode=rr.components.FillMode.Solid,
         ),
-        rr.Arrows3D(origins=[(0, 0, BODY_M + 0.01)], vectors=[(0.25, 0, 0)], colors=LEG, radii=0.015),
+        rr.Arrows3D(origins=[(0, 0, BODY_M + 0.01)], vectors=[(0.25, 0, 0)], colors=LEG_COLOUR, radii=0.015),
         static=True,
     )
-    stream.log(f"{ROBOT}/lens", rr.Points3D([(0, 0, height_m)], radii=0.03, colors=[WRONG]), static=True)
+    stream.log(f"{ROBOT}/lens", rr.Points3D([(0, 0, height_m)], radii=0.03, colors=[WRONG_COLOUR]), static=True)
 
 
 def log_poses(stream: rr.RecordingStream, pose: np.ndarray, at: Rows) -> None:
@@ -108,7 +110,7 @@ def log_path(
 def log_images(stream: rr.RecordingStream, recording: Recording) -> None:
     """Log what the sensors took: pictures, and of a scan the end of each ray in the robot's frame."""
     seen, first = np.unique(recording.reading[:, 1], return_index=True)
-    step = -(-len(seen) // IMAGES_AT_MOST)
+    step = -(-len(seen) // MAX_IMAGES)
     seen, at = seen[::step], drive_clock(recording)(recording.time[first[::step]])
     if recording.kind == "polar_image":
         rings, sectors = recording.observation.shape[1:3]
@@ -141,9 +143,11 @@ def log_ticks(stream: rr.RecordingStream, recording: Recording) -> None:
     later = segment[1:] == segment[:-1]
     at = drive_clock(recording)(recording.time[1 + np.flatnonzero(later)])
     ticks = np.diff(recording.reading[:, 2:], axis=0)[later]
-    send_series(stream, "drive/ticks/left", at, ticks[:, 0], "left", TRUE, width=4.0)  # seen under an equal right
-    send_series(stream, "drive/ticks/right", at, ticks[:, 1], "right", RIGHT)
-    send_series(stream, "drive/tick_difference", at, ticks[:, 1] - ticks[:, 0], "right minus left", WRONG)
+    send_series(
+        stream, "drive/ticks/left", at, ticks[:, 0], "left", TRUE_COLOUR, width=4.0
+    )  # seen under an equal right
+    send_series(stream, "drive/ticks/right", at, ticks[:, 1], "right", RIGHT_COLOUR)
+    send_series(stream, "drive/tick_difference", at, ticks[:, 1] - ticks[:, 0], "right minus left", WRONG_COLOUR)
 
 
 def log_encoders(stream: rr.RecordingStream, recording: Recording, truth: Truth) -> None:
@@ -152,12 +156,12 @@ def log_encoders(stream: rr.RecordingStream, recording: Recording, truth: Truth)
     drift = np.linalg.norm(reckoned - true, axis=1)
     clock, root = drive_clock(recording), "world/reckoned"
     at = clock(recording.time)
-    log_path(stream, root, recording.reading[:, 0], reckoned, (RECKONED, RECKONED), recording.time, clock)
+    log_path(stream, root, recording.reading[:, 0], reckoned, (ODOMETRY_COLOUR, ODOMETRY_COLOUR), recording.time, clock)
     place = {"positions": lift(reckoned, 5 * LAYER_M)}
-    send_rows(stream, f"{root}/place", rr.Points3D, at, place, {"radii": 0.06, "colors": RECKONED})
+    send_rows(stream, f"{root}/place", rr.Points3D, at, place, {"radii": 0.06, "colors": ODOMETRY_COLOUR})
     ends = {"strips": np.stack([lift(true, 4 * LAYER_M), lift(reckoned, 4 * LAYER_M)], axis=1)}
-    send_rows(stream, f"{root}/drift", rr.LineStrips3D, at, ends, {"radii": 0.012, "colors": WRONG})
-    send_series(stream, "encoders/drift", at, drift, "dead-reckoning drift", WRONG)
+    send_rows(stream, f"{root}/drift", rr.LineStrips3D, at, ends, {"radii": 0.012, "colors": WRONG_COLOUR})
+    send_series(stream, "encoders/drift", at, drift, "dead-reckoning drift", WRONG_COLOUR)
     put_text(stream, "encoders/faults", describe_encoders(recording, truth.pose, drift))
     picture = plots.to_png(draw_segments(*measure_segments(recording, truth.pose)))
     put(stream, "encoders/segments", rr.EncodedImage(contents=picture, media_type="image/png"))
@@ -184,10 +188,10 @@ def _log_distances(stream: rr.RecordingStream, recording: Recording, truth: Trut
     encoder, true, difference = measure_distances(recording, truth.pose)
     at = drive_clock(recording)(recording.time)
     for path, values, label, colour in (
-        ("distance/encoder", encoder, "by encoder", RECKONED),
-        ("distance/truth", true, "true", TRUE),
-        ("segment_error", 1000 * (encoder - true), "encoder minus truth", WRONG),
-        ("difference", 1000 * difference, "encoder minus truth, cumulative", WRONG),
+        ("distance/encoder", encoder, "by encoder", ODOMETRY_COLOUR),
+        ("distance/truth", true, "true", TRUE_COLOUR),
+        ("segment_error", 1000 * (encoder - true), "encoder minus truth", WRONG_COLOUR),
+        ("difference", 1000 * difference, "encoder minus truth, cumulative", WRONG_COLOUR),
     ):
         send_series(stream, f"drive/{path}", at, values, label, colour)
     log_ticks(stream, recording)
@@ -201,5 +205,5 @@ def _find_images(recording: Recording) -> list[str]:
 def _log_scans(stream: rr.RecordingStream, scans: np.ndarray, at: Rows) -> None:
     angle = 2.0 * np.pi * np.arange(scans.shape[1]) / scans.shape[1]
     ends = scans[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    points, style = {"positions": lift(ends.reshape(-1, 2), LAYER_M)}, {"radii": 0.012, "colors": RIGHT}
+    points, style = {"positions": lift(ends.reshape(-1, 2), LAYER_M)}, {"radii": 0.012, "colors": RIGHT_COLOUR}
     send_rows(stream, f"{ROBOT}/scan", rr.Points3D, at, points, style, [scans.shape[1]] * len(scans))

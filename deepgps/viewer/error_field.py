@@ -23,22 +23,23 @@ from deepgps.viewer.scene import LAYER_M, lift
 from deepgps.viewer.stream import Rows, put
 from sim.geometry import FreeSpace
 
-LARGE_M = 0.1
+LARGE_ERROR_M = 0.1
 PARTS = ("above_10_cm", "below_10_cm")
 """Entities of the worst accepted headings: switching the second one off leaves the large errors."""
 REFUSED_PART = "refused"  # Entity of the worst refused headings, in grey
-DENSE_M = 0.05  # test positions with smaller spacing get thinner arrows
+DENSE_SPACING_M = 0.05  # test positions with smaller spacing get thinner arrows
 HEIGHT_M = 3 * LAYER_M  # high enough for coverage and density to be drawn below
 HEAD_M = 0.05
 HEAD_SHARE = 0.35  # Length of an arrow's head, at most ``HEAD_M``, as a share of the arrow's
 YAW_M = 0.07  # Length of a yaw's arrow [m]
-WRONG_DEG = 5.0
-GOOD, WRONG = (235, 235, 235), (255, 60, 220)
-"""Colours of yaws that are off by at most ``WRONG_DEG``, and of others; the error field's colours mean positions."""
+LARGE_YAW_ERROR_DEG = 5.0
+GOOD_COLOUR, WRONG_COLOUR = (235, 235, 235), (255, 60, 220)
+"""Colours of yaws that are off by at most ``LARGE_YAW_ERROR_DEG``, and of others; the error field's colours mean
+positions."""
 CIRCLE_POINTS = 49
 COVERAGE, DENSITY = "world/not_covered", "world/images_per_cell"
 CELL_M = 0.25
-UNSEEN = (232, 37, 79)
+UNSEEN_COLOUR = (232, 37, 79)
 NO_PLACES = ErrorField(np.zeros((0, 2)), np.zeros(1), np.zeros((0, 1, 2)))
 
 
@@ -46,7 +47,7 @@ def log_field(stream: rr.RecordingStream, name: str, field: ErrorField, at: Rows
     """Log a method's errors at the worst heading of each place: large, small and refused ones as separate entities."""
     path, thin = f"{root}/error_field/{name}", find_thinness(field.truth)
     accepted, refused = split_by_acceptance(field)
-    large = accepted.error > LARGE_M
+    large = accepted.error > LARGE_ERROR_M
     for part, chosen in zip(PARTS, (large, ~large), strict=True):
         some = accepted.take(chosen)
         _log_arrows(stream, f"{path}/worst/{part}", name, some, colours_of(some.error), describe_errors(some), thin, at)
@@ -128,9 +129,12 @@ def _draw_yaws(
     """Arrows in the predicted directions (C, H) [rad], at the heading with the largest error in position."""
     rows = np.arange(len(field.truth)), field.error.argmax(axis=1)
     place, yaw, error = field.predicted[rows], yaw[rows], error_deg[rows]
-    known, wrong = np.isfinite(yaw), np.abs(error) > WRONG_DEG
+    known, wrong = np.isfinite(yaw), np.abs(error) > LARGE_YAW_ERROR_DEG
     tips = place + YAW_M * np.column_stack([np.cos(yaw), np.sin(yaw)])
-    for part, chosen, colour in (("above_5_deg", known & wrong, WRONG), ("below_5_deg", known & ~wrong, GOOD)):
+    for part, chosen, colour in (
+        ("above_5_deg", known & wrong, WRONG_COLOUR),
+        ("below_5_deg", known & ~wrong, GOOD_COLOUR),
+    ):
         lines = draw_arrows(place[chosen], tips[chosen], height_m)
         pairs = zip(np.degrees(yaw[chosen]), error[chosen], strict=True)
         words = [f"{one:.1f}°, off by {off:.1f}°" for one, off in pairs]
@@ -142,7 +146,7 @@ def log_coverage(stream: rr.RecordingStream, place: np.ndarray, space: FreeSpace
     row, column = np.nonzero(space.reachable)
     floor = space.origin + np.stack([column, row], axis=1) * space.cell_m
     unseen = floor[~find_seen(floor, place)]
-    put(stream, COVERAGE, _make_tiles(unseen, space.cell_m, 2 * LAYER_M, np.array([UNSEEN], np.uint8)))
+    put(stream, COVERAGE, _make_tiles(unseen, space.cell_m, 2 * LAYER_M, np.array([UNSEEN_COLOUR], np.uint8)))
     cell, count = np.unique(np.floor(place / CELL_M).astype(int), axis=0, return_counts=True)
     colours = colormaps["viridis"](np.log(count) / max(np.log(count.max()), 1e-9))[:, :3]
     tiles = _make_tiles((cell + 0.5) * CELL_M, 0.94 * CELL_M, 1.5 * LAYER_M, (255 * colours).astype(np.uint8))
@@ -170,7 +174,7 @@ def draw_arrows(origins: np.ndarray, tips: np.ndarray, z: float = HEIGHT_M) -> n
 def find_thinness(places: np.ndarray) -> float:
     """Factor for the thickness of arrows at places (N, 2) [m]; one if there is room for them."""
     area = np.prod(np.ptp(places, axis=0)) if len(places) else 0.0
-    return min(1.0, float(np.sqrt(area / len(places))) / DENSE_M) if area > 0 else 1.0
+    return min(1.0, float(np.sqrt(area / len(places))) / DENSE_SPACING_M) if area > 0 else 1.0
 
 
 def _log_arrows(

@@ -10,22 +10,22 @@ import rerun.blueprint as rrb
 from deepgps.config.methods import title_of
 from deepgps.viewer.drive import DIAGNOSIS, POLAR_PICTURES
 from deepgps.viewer.error_field import COVERAGE, DENSITY
-from deepgps.viewer.making import MAKING, TEXT
-from deepgps.viewer.pictures import LARGE
+from deepgps.viewer.making import MAP_ENTITY, TEXT_ENTITY
+from deepgps.viewer.pictures import LARGE_ENTITY
 from deepgps.viewer.places import PICTURES
 from deepgps.viewer.plot import DISTRIBUTION, plot_view
-from deepgps.viewer.scene import BACKDROP, STILL
+from deepgps.viewer.scene import BACKDROP, STILL_BEHAVIOUR
 from deepgps.viewer.stream import PROGRESS, RUN_TIME, lately, until_now
 from sim.geometry import FreeSpace, limits
 
-HIDDEN = rrb.EntityBehavior(visible=False)
-RECENT_S, TRAIL_S = 60.0, 120.0
+HIDDEN_BEHAVIOUR = rrb.EntityBehavior(visible=False)
+TICK_WINDOW_S, TRAIL_S = 60.0, 120.0
 PICTURE_TITLES = {
     "round": ("Test image, white", "Alike 1, yellow", "Alike 2, yellow", "Closest, green"),
     "polar": ("Test image, polar", "Alike 1, polar", "Alike 2, polar", "Closest, polar"),
 }
-TICKS = ("Ticks per gap: left blue, right green", "drive/ticks", RECENT_S)
-SEGMENT_ERROR = ("Encoder minus truth [mm]", "drive/segment_error", RECENT_S)
+TICKS = ("Ticks per gap: left blue, right green", "drive/ticks", TICK_WINDOW_S)
+SEGMENT_ERROR = ("Encoder minus truth [mm]", "drive/segment_error", TICK_WINDOW_S)
 WHEELS = ("Diagnosis of the wheels", DIAGNOSIS)
 STEPS, FIGURES = "steps", "report/figures"
 Layers = Mapping[str, Sequence[str]]  # Layers of a method's error field that are hidden at first, by method
@@ -134,7 +134,7 @@ def room_view(
         contents=[f"{root}/{one}" for one in contents],
         eye_controls=eye,
         line_grid=line_grid,
-        overrides={f"{root}/{name}": STILL for name in BACKDROP} | dict(overrides or {}),
+        overrides={f"{root}/{name}": STILL_BEHAVIOUR for name in BACKDROP} | dict(overrides or {}),
     )
 
 
@@ -194,7 +194,7 @@ def distribution_view() -> rrb.Spatial2DView:
 def _camera_views(pictures: Mapping[str, str]) -> list[Part]:
     """Views of the sensors' pictures by their titles: those drawn for people above the others."""
     views = {name: rrb.Spatial2DView(name=title, origin=f"drive/{name}") for name, title in pictures.items()}
-    large = [views.pop(LARGE)] if LARGE in views else []
+    large = [views.pop(LARGE_ENTITY)] if LARGE_ENTITY in views else []
     shares = [1 if name == "fisheye" else 2 for name in views]
     return [*large, *([rrb.Horizontal(*views.values(), column_shares=shares)] if views else [])]
 
@@ -211,7 +211,7 @@ def _error_fields(space: FreeSpace, layers: Layers, places: Sequence[str] = ()) 
     wide = len(others) > 1  # plans below leave less height
 
     def field_view(name: str, method: str, eye: rrb.EyeControls3D, around: Sequence[str]) -> rrb.Spatial3DView:
-        hidden = dict.fromkeys([*layers[method], COVERAGE, DENSITY], HIDDEN)
+        hidden = dict.fromkeys([*layers[method], COVERAGE, DENSITY], HIDDEN_BEHAVIOUR)
         return room_view(name, [*around, f"error_field/{method}/**"], eye, overrides=hidden)
 
     room = rrb.Tabs(
@@ -265,7 +265,7 @@ def _drive(
         overrides={"world/drive/path": rrb.VisibleTimeRanges(until_now(timelines) if timelines else until_now())},
         line_grid=space is None,
     )
-    shares = [*([3] if LARGE in pictures else []), *([2] if set(pictures) - {LARGE} else []), 2]
+    shares = [*([3] if LARGE_ENTITY in pictures else []), *([2] if set(pictures) - {LARGE_ENTITY} else []), 2]
     beside = rrb.Vertical(*_camera_views(pictures), below, row_shares=shares)
     return rrb.Horizontal(room, beside, column_shares=[5, 4], name="Drive")
 
@@ -273,7 +273,7 @@ def _drive(
 def _making(space: FreeSpace, method: str) -> Part:
     """How the initial map is made, and the errors that it expects beside those of the trained method."""
     title = "The initial map in the making: choose the timeline `making`"
-    making = room_view(title, ["outline", f"{MAKING.removeprefix('world/')}/**"], aim_eye(space, before=0.0))
+    making = room_view(title, ["outline", f"{MAP_ENTITY.removeprefix('world/')}/**"], aim_eye(space, before=0.0))
     fields = [
         room_view(name, ["floor_plan", "scale/**", f"error_field/{method}/{shown}"], aim_eye(space, reach=0.9))
         for name, shown in (
@@ -281,7 +281,7 @@ def _making(space: FreeSpace, method: str) -> Part:
             (f"Error field of {title_of(method)}", "worst/**"),
         )
     ]
-    beside = rrb.Vertical(text_view("This stage", TEXT), *fields, row_shares=[4, 4, 4])
+    beside = rrb.Vertical(text_view("This stage", TEXT_ENTITY), *fields, row_shares=[4, 4, 4])
     return rrb.Horizontal(making, beside, column_shares=[5, 3], name="Initial map")
 
 
@@ -295,7 +295,7 @@ def _encoders(space: FreeSpace, drive_s: float) -> Part:
         overrides={"world/drive/path": trail, "world/reckoned/path": trail},
     )
     faults = text_view("Faults that were set", "encoders/faults")
-    difference = series_view("Ticks per gap, right minus left", "drive/tick_difference", RECENT_S, drive_s)
+    difference = series_view("Ticks per gap, right minus left", "drive/tick_difference", TICK_WINDOW_S, drive_s)
     series = rrb.Vertical(
         rrb.Horizontal(series_view(*SEGMENT_ERROR, drive_s), series_view(*TICKS, drive_s), difference),
         rrb.Horizontal(

@@ -28,7 +28,7 @@ from deepgps.viewer.connect import ANSWER_S, find_url, knock, open_viewer
 from deepgps.viewer.error_field import list_layers
 from deepgps.viewer.layout import STEPS, Layers, make_live_blueprint
 from deepgps.viewer.pictures import make_warp
-from deepgps.viewer.run import LAYERS, READING, log_results
+from deepgps.viewer.run import LAYERS, READING_HINT, log_results
 from deepgps.viewer.scene import log_room
 from deepgps.viewer.stream import put_text, run_clock
 from deepgps.viewer.training import History, log_loss, log_snapshots
@@ -38,16 +38,16 @@ from sim.recording.format import Truth, chunk_files, has_truth, open_recording, 
 from sim.settings import CameraSettings
 
 APPLICATION = "deepgps live"  # not that of recordings, whose blueprint it would replace
-GONE = (RuntimeError, ConnectionError)  # Errors that rerun raises when the viewer is gone
+LOST_VIEWER_ERRORS = (RuntimeError, ConnectionError)  # Errors that rerun raises when the viewer is gone
 PERIOD_S = 1.0
 STALL_S = 10.0  # How long a viewer may accept no data [s]
 PATIENCE_S = 20.0  # How long a finished run waits for a slow viewer to accept the remaining data [s]
-LOOK_S = 0.4  # Interval at which a finished run checks whether the viewer still answers [s]
+POLL_S = 0.4  # Interval at which a finished run checks whether the viewer still answers [s]
 Spread = Callable[[int], np.ndarray]
 """Makes times (n,) [s] for so many rows, spread over the time since the last update."""
 TRACK_M = 0.16  # Distance between the wheels of the robot that is drawn until its own is known
-PICTURE_EVERY = 32  # observations
-PICTURES_AT_ONCE = 100
+PICTURE_STRIDE = 32  # observations
+PICTURE_BATCH = 100
 
 
 @contextmanager
@@ -101,9 +101,9 @@ def show_live(
 def _wait(thread: threading.Thread, lost: threading.Event, url: str, warn: Callable[[str], None]) -> None:
     """Wait until everything is sent, as long as the viewer answers."""
     end = time.monotonic() + PATIENCE_S
-    thread.join(LOOK_S)
+    thread.join(POLL_S)
     while thread.is_alive() and not lost.is_set() and time.monotonic() < end and knock(url) == "viewer":
-        thread.join(LOOK_S)
+        thread.join(POLL_S)
     if thread.is_alive():
         if not lost.is_set():
             warn("the viewer no longer accepts data; it does not show the complete run")
@@ -125,7 +125,9 @@ def _send(
             view.update()
             stream.flush(timeout_sec=STALL_S)
     except Exception as error:  # a bug in the live view must not end the run
-        what = "the connection to the viewer is lost" if isinstance(error, GONE) else "the live view failed"
+        what = (
+            "the connection to the viewer is lost" if isinstance(error, LOST_VIEWER_ERRORS) else "the live view failed"
+        )
         lost.set()
         warn(f"{what} ({type(error).__name__}: {one_line(error)}); the run continues without it")
     finally:
@@ -163,7 +165,7 @@ class LiveDrive:
                 self._send_segments(pose, chunk["segment"], chunk["observation"], spread)
                 self.chunks += 1
             while (path := chunk_files(self.work, self.pictures)[1]).is_file():
-                self._send_pictures(read_arrays(path)["image"][::PICTURE_EVERY], spread)
+                self._send_pictures(read_arrays(path)["image"][::PICTURE_STRIDE], spread)
                 self.pictures += 1
 
     def send_rest(self, observations: np.ndarray, truth: Truth, spread: Spread) -> None:
@@ -171,7 +173,7 @@ class LiveDrive:
         segment, observation = truth.reading[truth.reading[:, 0] >= self.segments].T
         self._send_segments(truth.pose[self.observations :], segment, observation, spread)
         if not self.pictures:
-            self._send_pictures(observations[:: max(1, len(truth.pose) // PICTURES_AT_ONCE)], spread)
+            self._send_pictures(observations[:: max(1, len(truth.pose) // PICTURE_BATCH)], spread)
 
     def _send_segments(self, pose: np.ndarray, segment: np.ndarray, observation: np.ndarray, spread: Spread) -> None:
         """Send poses (n, 3) of new observations, and the segments of readings (r,) that start there or just before."""
@@ -179,7 +181,7 @@ class LiveDrive:
             return
         place = np.concatenate([self.last, pose[:, :2]])[observation - (self.observations - len(self.last))]
         drive.log_poses(self.stream, pose, run_clock(spread(len(pose))))
-        colours = (drive.TRUE, drive.LEG)
+        colours = (drive.TRUE_COLOUR, drive.LEG_COLOUR)
         drive.log_path(self.stream, "world/drive", segment, place, colours, spread(len(segment)), run_clock)
         self.observations += len(pose)
         self.segments = int(segment[-1]) + 1
@@ -281,7 +283,7 @@ class LiveView:
             return
         fields, metrics = read_all_headings(self._folder), read_metrics(self._folder)
         space, driven = self._truth.free_space, self._truth.pose[:, :2]
-        log_results(self._stream, metrics, fields, space, driven, [READING, LAYERS])
+        log_results(self._stream, metrics, fields, space, driven, [READING_HINT, LAYERS])
         self._layers, self._sent = {name: list_layers(name, field) for name, field in fields.items()}, written
 
     def _send_steps(self) -> None:

@@ -12,7 +12,7 @@ import rerun.blueprint as rrb
 from deepgps.viewer.connect import find_url, knock, open_viewer
 from deepgps.viewer.error_field import draw_circles
 from deepgps.viewer.layout import aim_eye, arrange, play, room_view
-from deepgps.viewer.live import GONE
+from deepgps.viewer.live import LOST_VIEWER_ERRORS
 from deepgps.viewer.pictures import enlarge
 from deepgps.viewer.scene import LAYER_M, lift, log_room
 from sim.errors import InputError, one_line
@@ -21,9 +21,9 @@ from sim.recording.format import has_truth, open_truth
 
 APPLICATION = "deepgps locate"
 IMAGE, TIME = "image", "time"  # Timelines: the number of the image, and when it was taken, if that is known
-TRAIL = 2000  # Positions of which the way is drawn
-ROBOT, REFUSED, WAY = (90, 200, 250), (240, 90, 80), (150, 160, 180)
-ARROW_M, LARGER = 0.25, 4
+TRAIL_POSITIONS = 2000  # Positions of which the way is drawn
+ROBOT_COLOUR, REFUSED_COLOUR, TRAIL_COLOUR = (90, 200, 250), (240, 90, 80), (150, 160, 180)
+ARROW_M, ROBOT_SCALE = 0.25, 4
 FLUSH_S = 5.0  # How long a viewer may take for what is left at the end [s]
 
 Show = Callable[[float | None, np.ndarray, np.ndarray, float | None, float | None, bool | None], None]
@@ -46,7 +46,7 @@ def show_located(address: str, recording: Path, in_world: bool, warn: Callable[[
     finally:
         try:
             stream.flush(timeout_sec=FLUSH_S)
-        except GONE as error:
+        except LOST_VIEWER_ERRORS as error:
             warn(f"the connection to the viewer is lost ({one_line(error)})")
         stream.disconnect()
 
@@ -55,7 +55,7 @@ class LocatedView:
     """What the viewer shows, in the room of a recording if poses have a place in it."""
 
     def __init__(self, stream: rr.RecordingStream, recording: Path | None) -> None:
-        self.stream, self.number, self.trail = stream, 0, deque[np.ndarray](maxlen=TRAIL)
+        self.stream, self.number, self.trail = stream, 0, deque[np.ndarray](maxlen=TRAIL_POSITIONS)
         space = None if recording is None else open_truth(recording).free_space
         if recording is not None and space is not None:
             log_room(stream, recording / "scene.glb", space)
@@ -78,16 +78,16 @@ class LocatedView:
         refused, position = accepted is not None and not accepted, np.asarray(position, float)
         if not refused and np.isfinite(position).all():
             self.trail.append(position)
-        at, colour = lift(position[None], 2 * LAYER_M), REFUSED if refused else ROBOT
+        at, colour = lift(position[None], 2 * LAYER_M), REFUSED_COLOUR if refused else ROBOT_COLOUR
         arrow = [] if yaw is None or np.isnan(yaw) else [[ARROW_M * np.cos(yaw), ARROW_M * np.sin(yaw), 0.0]]
         circle = draw_circles(position[None], np.array([radius_m or 0.0]), LAYER_M)
         way = lift(np.array(self.trail).reshape(-1, 2), LAYER_M)
         things = {
-            "image": rr.Image(enlarge(polar, LARGER)).compress(jpeg_quality=85),
+            "image": rr.Image(enlarge(polar, ROBOT_SCALE)).compress(jpeg_quality=85),
             "world/located/position": rr.Points3D(at, radii=0.05, colors=[colour]),
             "world/located/yaw": rr.Arrows3D(vectors=arrow, origins=at[: len(arrow)], radii=0.02, colors=[colour]),
             "world/located/radius": rr.LineStrips3D(circle, colors=[colour], radii=0.006),
-            "world/located/way": rr.LineStrips3D([way], colors=[WAY], radii=0.008),
+            "world/located/way": rr.LineStrips3D([way], colors=[TRAIL_COLOUR], radii=0.008),
             "radius": None if radius_m is None else rr.Scalars(radius_m),
         }
         for path, thing in things.items():

@@ -19,11 +19,11 @@ from deepgps.viewer.stream import making_rows, put, put_text
 from sim.alignment import Alignment, fit_alignment
 from sim.recording.format import Recording
 
-MAKING, TEXT = "world/making", "making"
-PATH, WARNING, TURN = (90, 160, 255), (255, 150, 40), (255, 230, 120)
-BELIEVED, REFUSED, OPEN = (63, 208, 165), (232, 37, 79), (120, 130, 150)
+MAP_ENTITY, TEXT_ENTITY = "world/making", "making"
+PATH_COLOUR, WARNING_COLOUR, TURN_COLOUR = (90, 160, 255), (255, 150, 40), (255, 230, 120)
+INLIER_COLOUR, OUTLIER_COLOUR, OPEN_COLOUR = (63, 208, 165), (232, 37, 79), (120, 130, 150)
 ARC_M, ARC_POINTS = 0.06, 12
-ELLIPSES, ELLIPSE_POINTS, SIGMAS, SEEN_M = 100, 24, 2.0, 0.06
+MAX_ELLIPSES, ELLIPSE_POINTS, SIGMAS, MIN_HALF_AXIS_M = 100, 24, 2.0, 0.06
 """Most ellipses, points of each, standard deviations, and the half axis up to which the middle one is enlarged [m]."""
 LEGEND = (
     "Blue: path; orange: parts that stay undecided. Yellow arcs: turns, by the two images before and after; point at "
@@ -66,8 +66,8 @@ def log_making(stream: rr.RecordingStream, stored: StoredMap, recording: Recordi
             size = f"drawn {larger:g} times as large" if larger > 1.0 else "at their true size"
             words += [f"Ellipses: {SIGMAS:g} standard deviations, {size}."]
         for name, strips, radius_m, colours, said in drawn:
-            put(stream, f"{MAKING}/{name}", rr.LineStrips3D(strips, radii=radius_m, colors=colours), at, said)
-        put_text(stream, TEXT, "\n\n".join([*words, LEGEND]), at)
+            put(stream, f"{MAP_ENTITY}/{name}", rr.LineStrips3D(strips, radii=radius_m, colors=colours), at, said)
+        put_text(stream, TEXT_ENTITY, "\n\n".join([*words, LEGEND]), at)
 
 
 Lines = tuple[str, list[np.ndarray], float, Any, dict[str, list[str]]]
@@ -81,7 +81,7 @@ def _draw_path(places: np.ndarray, rows: list[np.ndarray], undecided: np.ndarray
         points = row[np.isfinite(places[row, 0])]
         if len(points) > 1:
             strips["undecided" if undecided[points].mean() > 0.5 else "path"].append(lift(places[points], LAYER_M))
-    for name, colour in (("path", PATH), ("undecided", WARNING)):
+    for name, colour in (("path", PATH_COLOUR), ("undecided", WARNING_COLOUR)):
         yield name, strips[name], 0.004, [colour], {}
 
 
@@ -94,7 +94,7 @@ def _draw_turns(stored: StoredMap, places: np.ndarray, heading: np.ndarray) -> L
     arcs = places[before, None] + ARC_M * np.stack([np.cos(sweep), np.sin(sweep)], axis=2)
     strips = np.concatenate([arcs, places[before, None]], axis=1)
     said = [f"{one:+.1f}° ± {err:.2f}°" for one, err in zip(np.degrees(angle), std, strict=True)]
-    return "turns", [lift(strip, 2 * LAYER_M) for strip in strips], 0.003, [TURN], {"turned": said}
+    return "turns", [lift(strip, 2 * LAYER_M) for strip in strips], 0.003, [TURN_COLOUR], {"turned": said}
 
 
 def _draw_closures(stored: StoredMap, places: np.ndarray, stage: int) -> Iterator[Lines]:
@@ -102,8 +102,8 @@ def _draw_closures(stored: StoredMap, places: np.ndarray, stage: int) -> Iterato
     ends = places[stored.closure]
     shown, believed = np.isfinite(ends).all(axis=(1, 2)), stored.stage_believed[stage]
     for name, chosen, colour in (
-        ("refused", shown & ~believed, OPEN if stored.stage[stage] == 0 else REFUSED),
-        ("believed", shown & believed, BELIEVED),
+        ("refused", shown & ~believed, OPEN_COLOUR if stored.stage[stage] == 0 else OUTLIER_COLOUR),
+        ("believed", shown & believed, INLIER_COLOUR),
     ):
         apart = np.linalg.norm(ends[chosen, 0] - ends[chosen, 1], axis=1)
         turned = np.degrees(stored.closure_turn[chosen])
@@ -117,10 +117,10 @@ def _draw_closures(stored: StoredMap, places: np.ndarray, stage: int) -> Iterato
 def _draw_ellipses(stored: StoredMap, world: Alignment, larger: float) -> Lines:
     """Ellipses of the positions' errors at some observations."""
     known = np.flatnonzero(stored.known)
-    some = known[np.linspace(0, len(known) - 1, min(ELLIPSES, len(known))).astype(int)]
+    some = known[np.linspace(0, len(known) - 1, min(MAX_ELLIPSES, len(known))).astype(int)]
     outlines = outline_ellipses(stored.covariance[some], SIGMAS * larger) @ world.rotation.T
     strips = [lift(one, 4 * LAYER_M) for one in outlines + world.apply(stored.places[some])[:, None]]
-    colours = np.where(stored.undecided[some, None], WARNING, (255, 255, 255)).astype(np.uint8)
+    colours = np.where(stored.undecided[some, None], WARNING_COLOUR, (255, 255, 255)).astype(np.uint8)
     said = [f"± {100 * one:.2f} cm (RMS)" for one in stored.expected[some]]
     return "ellipses", strips, 0.004, colours, {"expected": said}
 
@@ -129,7 +129,7 @@ def enlarge(stored: StoredMap) -> float:
     """How many times larger ellipses are drawn so that the middle one can be seen: 1, 2, 5, 10, 20, ..."""
     middle = SIGMAS * float(np.median(stored.expected[stored.known])) / np.sqrt(2.0)
     steps = np.outer(10.0 ** np.arange(4), [1.0, 2.0, 5.0]).ravel()
-    return float(steps[max(np.searchsorted(steps, SEEN_M / max(middle, 1e-9), "right") - 1, 0)])
+    return float(steps[max(np.searchsorted(steps, MIN_HALF_AXIS_M / max(middle, 1e-9), "right") - 1, 0)])
 
 
 def outline_ellipses(covariance: np.ndarray, sigmas: float) -> np.ndarray:

@@ -25,7 +25,7 @@ from deepgps.viewer.error_field import find_thinness, log_field
 from deepgps.viewer.layout import aim_eye, arrange, distribution_view, room_view, text_view
 from deepgps.viewer.plot import log_distribution
 from deepgps.viewer.run import hash_run
-from deepgps.viewer.scene import LAYER_M, STRIP, lift, log_room, log_scale, log_strip
+from deepgps.viewer.scene import LAYER_M, SCALE_COLOURS, lift, log_room, log_scale, log_strip
 from deepgps.viewer.stream import holds, put_text, save_recording
 from sim.errors import InputError
 from sim.geometry import FreeSpace, limits
@@ -34,7 +34,7 @@ from sim.recording.format import open_truth
 PAIRS = "pairs"
 SAME_M = SCALE_M[0]  # Errors that differ by less than this count as equal [m]
 # blue: B is better; grey: the same; orange: B is worse
-CHANGE = LinearSegmentedColormap.from_list(
+CHANGE_COLOURS = LinearSegmentedColormap.from_list(
     "change",
     [
         *[(0.0, "#3d6bff"), (0.25, "#2fb5ff"), (0.48, "#4a7f99")],
@@ -122,7 +122,7 @@ def scale_change(change: np.ndarray) -> np.ndarray:
 
 def colours_of_change(share: np.ndarray) -> np.ndarray:
     """Colours (..., 4) uint8 RGBA of scaled changes (...,)."""
-    return (CHANGE((np.asarray(share) + 1) / 2) * 255).round().astype(np.uint8)
+    return (CHANGE_COLOURS((np.asarray(share) + 1) / 2) * 255).round().astype(np.uint8)
 
 
 def describe_pair(pair: Pair) -> str:
@@ -194,7 +194,7 @@ def _log_changes(stream: rr.RecordingStream, pair: Pair) -> None:
     a = pair.sides["a"]
     log_room(stream, a.scene, a.space, "change")
     labels = {(change + 1) / 2: label for change, label in LABELS.items()}
-    log_strip(stream, "change/scale", *limits(a.space), colours_of_change(np.linspace(-1, 1, STRIP)), labels)
+    log_strip(stream, "change/scale", *limits(a.space), colours_of_change(np.linspace(-1, 1, SCALE_COLOURS)), labels)
     for name in pair.methods:
         truth, change = a.fields[name].truth, pair.change(name)
         radius, colours = 0.03 * find_thinness(truth), colours_of_change(scale_change(change))

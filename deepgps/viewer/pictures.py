@@ -16,8 +16,8 @@ from sim.sensors.camera.lens import make_lens, project_polar, round_rays
 from sim.settings import CameraSettings
 
 PICTURES = "pictures.npz"  # File of the large pictures in a run's folder
-LARGE = "large"  # Name of the large pictures below ``drive``
-COUNT = 36
+LARGE_ENTITY = "large"  # Name of the large pictures below ``drive``
+PICTURE_COUNT = 36
 JPEG_QUALITY = 85
 
 
@@ -25,7 +25,7 @@ def choose_views(run: Path) -> tuple[np.ndarray, np.ndarray]:
     """Observations of a run's drive to draw for people (n,), evenly spread, and their true poses (n, 3)."""
     recording, truth = open_recording(run / "recording"), open_truth(run / "recording")
     seen = np.unique(recording.reading[:, 1])
-    chosen = seen[np.unique(np.linspace(0, len(seen) - 1, COUNT).round().astype(int))]
+    chosen = seen[np.unique(np.linspace(0, len(seen) - 1, PICTURE_COUNT).round().astype(int))]
     return chosen, truth.pose[chosen]
 
 

@@ -25,10 +25,10 @@ from sim.recording.format import Recording, Truth
 from sim.recording.manifest import ObservationKind
 
 PLACES = 12  # of each method
-APART_M = 0.25
+MIN_SEPARATION_M = 0.25
 LABEL_ABOVE = 0.07  # as a share of the room's depth
-ALIKE = 2
-PICTURES = ("test", *(f"alike_{number + 1}" for number in range(ALIKE)), "closest")
+SIMILAR_IMAGES = 2
+PICTURES = ("test", *(f"alike_{number + 1}" for number in range(SIMILAR_IMAGES)), "closest")
 COLOURS = {"test": (255, 255, 255), "alike": (255, 196, 60), "closest": (63, 208, 165)}
 ROUND_PX, POLAR_ZOOM = 256, 3
 HEADING_M = 0.22
@@ -54,7 +54,7 @@ class Place:
 
 
 def find_places(fields: Mapping[str, ErrorField], count: int = PLACES) -> list[Place]:
-    """Find each method's worst places, at least ``APART_M`` apart from one another."""
+    """Find each method's worst places, at least ``MIN_SEPARATION_M`` apart from one another."""
     places = []
     for method, field in fields.items():
         error = field.error
@@ -62,7 +62,7 @@ def find_places(fields: Mapping[str, ErrorField], count: int = PLACES) -> list[P
         chosen: list[int] = []
         for cell in order:
             away = np.linalg.norm(field.truth[chosen] - field.truth[cell], axis=1)
-            if len(chosen) < count and (away > APART_M).all():
+            if len(chosen) < count and (away > MIN_SEPARATION_M).all():
                 chosen.append(int(cell))
         places += [Place(method, rank + 1, cell, int(error[cell].argmax())) for rank, cell in enumerate(chosen)]
     return places
@@ -81,7 +81,7 @@ def log_places(
     true = np.stack([field.truth[place.cell] for field, place in cells])
     predicted = np.stack([field.predicted[place.cell, place.heading] for field, place in cells])
     away, closest = KDTree(truth.pose[:, :2]).query(true)
-    shown = np.column_stack([find_alike(recording, tests, ALIKE), closest])  # indices of training observations
+    shown = np.column_stack([find_alike(recording, tests, SIMILAR_IMAGES), closest])  # indices of training observations
     at, taken = place_rows(len(places)), truth.pose[shown]
     _log_arrows(stream, cells, true, predicted, at)
     _log_taken(stream, taken, at)
@@ -150,7 +150,7 @@ def _write_errors(field: ErrorField, cell: int) -> list[str]:
 
 
 def _describe_images(true: np.ndarray, taken: np.ndarray) -> str:
-    """Describe in Markdown where the training images (ALIKE + 1, 3) were taken, and how to walk through the places."""
+    """Say in Markdown where the training images (SIMILAR_IMAGES + 1, 3) were taken, and how to walk through them."""
     away = np.linalg.norm(taken[:, :2] - true, axis=1)
     images = [
         [name.replace("_", " "), f"{x:.2f}, {y:.2f}", f"{one:.2f}", f"{round(np.degrees(yaw)) % 360}°"]
@@ -178,7 +178,7 @@ def _log_arrows(
 
 
 def _log_taken(stream: rr.RecordingStream, taken: np.ndarray, at: Rows) -> None:
-    """Log where the training images (n, ALIKE + 1, 3) were taken, with an arrow in the direction of each."""
+    """Log where the training images (n, SIMILAR_IMAGES + 1, 3) were taken, with an arrow in the direction of each."""
     for number, name in enumerate(PICTURES[1:]):
         place, yaw = taken[:, number, :2], taken[:, number, 2]
         # a training image may be both: the closest one's dot is the larger and the lower
@@ -216,7 +216,7 @@ def _log_pictures(
 ) -> None:
     """Log test images (n, rings, sectors, 3) and training images ``shown``, polar and as round pictures.
 
-    Training images are turned by angles (n, ALIKE + 1) [rad] to the test image's heading.
+    Training images are turned by angles (n, SIMILAR_IMAGES + 1) [rad] to the test image's heading.
     """
     rings, sectors = recording.observation.shape[1:3]
     warp = make_warp(camera_of(recording), rings, sectors, ROUND_PX)

@@ -13,7 +13,7 @@ from matplotlib import ticker
 
 from deepgps.config.methods import title_of
 from deepgps.reports.plots import colour_on_dark
-from deepgps.viewer.scene import STILL
+from deepgps.viewer.scene import STILL_BEHAVIOUR
 from deepgps.viewer.stream import Rows, put
 
 WIDTH = 2.1
@@ -23,7 +23,7 @@ TICKS = 4
 GRID, INK = (44, 49, 60), (170, 177, 190)
 DISTRIBUTION = "report/distribution"
 MIN_ERROR_M = 1e-3
-PALE = 150  # Opacity of the curves of all runs but the last
+PALE_OPACITY = 150  # Opacity of the curves of all runs but the last
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ def plot_view(name: str, path: str) -> rrb.Spatial2DView:
         origin=path,
         background=(13, 14, 17),
         visual_bounds=rrb.VisualBounds2D(x_range=(-0.2, WIDTH + LEGEND), y_range=(-0.24, 1.2)),
-        overrides={f"{path}/{one}": STILL for one in ("axes", "legend", "cursor")},
+        overrides={f"{path}/{one}": STILL_BEHAVIOUR for one in ("axes", "legend", "cursor")},
     )
 
 
@@ -134,7 +134,7 @@ def log_distribution(
     curves = []
     for method, runs in errors.items():
         for label, error in zip(labels, runs, strict=True):
-            colour = (*colour_on_dark(method), 255 if label == labels[-1] else PALE)
+            colour = (*colour_on_dark(method), 255 if label == labels[-1] else PALE_OPACITY)
             centimetres = 100 * np.maximum(np.sort(error), MIN_ERROR_M)
             share = 100 * np.arange(1, len(error) + 1) / len(error)
             title = ", ".join([title_of(method), *([label] if label else [])])

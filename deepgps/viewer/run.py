@@ -21,10 +21,10 @@ from deepgps.evaluation.without_truth import read_judged
 from deepgps.reports.run_figures import read_histories
 from deepgps.reports.run_report import OVERVIEW, describe, judge_run, markdown_report, markdown_table, read_metrics
 from deepgps.reports.without_truth import markdown
-from deepgps.runs.run_folder import METRICS, WITHOUT_TRUTH
+from deepgps.runs.run_folder import METRICS, TRUTHLESS_METRICS
 from deepgps.viewer.drive import (
-    LEG,
-    RECKONED,
+    LEG_COLOUR,
+    ODOMETRY_COLOUR,
     find_pictures,
     log_diagnosis,
     log_drive,
@@ -36,7 +36,7 @@ from deepgps.viewer.drive import (
 from deepgps.viewer.error_field import list_layers, log_coverage, log_field, log_layers
 from deepgps.viewer.layout import FIGURES, make_blueprint, make_blueprint_without_truth
 from deepgps.viewer.making import find_map, log_making
-from deepgps.viewer.pictures import LARGE, PICTURES, read_pictures
+from deepgps.viewer.pictures import LARGE_ENTITY, PICTURES, read_pictures
 from deepgps.viewer.places import find_places, log_places
 from deepgps.viewer.plot import log_distribution
 from deepgps.viewer.read import open_rrd
@@ -48,8 +48,8 @@ from sim.geometry import FreeSpace, limits
 from sim.recording.format import Recording, has_truth, is_whole, open_recording, open_truth
 
 RECORDING = "run.rrd"
-READING = "Point at an arrow or a dot: error (± radius of 68 %), heading → predicted x, y [m]."
-SLIDING = (
+READING_HINT = "Point at an arrow or a dot: error (± radius of 68 %), heading → predicted x, y [m]."
+SLIDER_HINT = (
     "The slider goes through the worst places, the drive and the training at the same time, in 100 s; choose the "
     "timeline `place` to step through the worst places, `drive_time` or `step` for seconds or training steps."
 )
@@ -78,13 +78,13 @@ def write_run(run: Path) -> Path:
     space, driven = truth.free_space, truth.pose[:, :2]
     pictures = read_pictures(run)
     mapped, stored = find_map(run, fields)
-    titles = ({LARGE: "Fisheye, drawn larger for people"} if pictures else {}) | find_pictures(recording)
+    titles = ({LARGE_ENTITY: "Fisheye, drawn larger for people"} if pictures else {}) | find_pictures(recording)
     layers = {name: list_layers(name, field) for name, field in fields.items()}
     blueprint = make_blueprint(space, layers, list(histories), titles, _find_length_s(recording), mapped)
 
     def log(stream: rr.RecordingStream) -> None:
         log_room(stream, recording.folder / "scene.glb", space)
-        log_results(stream, metrics, fields, space, driven, [READING, SLIDING, LAYERS])
+        log_results(stream, metrics, fields, space, driven, [READING_HINT, SLIDER_HINT, LAYERS])
         log_places(stream, fields, find_places(fields), recording, truth)
         log_drive(stream, recording, truth, pictures)
         log_encoders(stream, recording, truth)
@@ -171,7 +171,7 @@ def _write_without_truth(run: Path, path: Path) -> Path:
         put_text(stream, "report", f"{WITHOUT_TRUTH_NOTE}\n\n{known}")
 
     last = {name: history["snapshot"][-1] for name, history in histories.items()}
-    others = [*sorted(run.glob("*/history.npz")), *run.glob(DIAGNOSIS), *run.glob(WITHOUT_TRUTH)]
+    others = [*sorted(run.glob("*/history.npz")), *run.glob(DIAGNOSIS), *run.glob(TRUTHLESS_METRICS)]
     blueprint = make_blueprint_without_truth(find_pictures(recording), _find_length_s(recording), reckoned, last)
     number = hash_files(run, [run / "recording" / "manifest.json", *others])
     save_recording(path, number, f"{run.name}, without truth", blueprint, log)
@@ -180,9 +180,9 @@ def _write_without_truth(run: Path, path: Path) -> Path:
 
 def _log_drive(stream: rr.RecordingStream, recording: Recording, reckoned: np.ndarray) -> None:
     clock, segment = drive_clock(recording), recording.reading[:, 0]
-    log_path(stream, "world/reckoned", segment, reckoned, (RECKONED, LEG), recording.time, clock)
+    log_path(stream, "world/reckoned", segment, reckoned, (ODOMETRY_COLOUR, LEG_COLOUR), recording.time, clock)
     distance = travel(recording.reading[:, 2:], recording.manifest.odometry).mean(axis=1)
-    send_series(stream, "drive/distance/encoder", clock(recording.time), distance, "by encoder", RECKONED)
+    send_series(stream, "drive/distance/encoder", clock(recording.time), distance, "by encoder", ODOMETRY_COLOUR)
     log_ticks(stream, recording)
     log_images(stream, recording)
 

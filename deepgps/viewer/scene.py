@@ -20,8 +20,8 @@ from sim.errors import InputError
 from sim.geometry import FreeSpace, limits
 
 LAYER_M = 0.01  # height of one drawn layer above the next
-STRIP = 65  # colours along a scale
-STILL = rrb.EntityBehavior(interactive=False)
+SCALE_COLOURS = 65  # colours along a scale
+STILL_BEHAVIOUR = rrb.EntityBehavior(interactive=False)
 BACKDROP = ("room", "floor_plan", "outline", "scale")
 """Entities that cannot tell anything and so do not catch the pointer."""
 
@@ -58,7 +58,7 @@ def log_scale(stream: rr.RecordingStream, path: str, low: np.ndarray, high: np.n
     """Log the colour scale of errors as a strip below a rectangle of the floor, from ``low`` to ``high`` (2,) [m]."""
     decades = np.log(SCALE_M[1] / SCALE_M[0])
     ticks = np.array(TICKS_M)
-    colours = colours_of(SCALE_M[0] * np.exp(np.linspace(0, 1, STRIP) * decades))
+    colours = colours_of(SCALE_M[0] * np.exp(np.linspace(0, 1, SCALE_COLOURS) * decades))
     labels = [f"{100 * ticks[0]:g} cm", *(f"{100 * tick:g}" for tick in ticks[1:-1]), f"{ticks[-1]:g} m"]
     log_strip(stream, path, low, high, colours, dict(zip(np.log(ticks / SCALE_M[0]) / decades, labels, strict=True)))
 
@@ -71,18 +71,18 @@ def log_strip(
     colours: np.ndarray,
     labels: Mapping[float, str],
 ) -> None:
-    """Log colours (``STRIP``, 4) as such a strip, with labels by their positions as shares of its length."""
+    """Log colours (``SCALE_COLOURS``, 4) as such a strip, with labels by their positions as shares of its length."""
     width = 0.9 * max(high[0] - low[0], 1.4 * (high[1] - low[1]))  # views are wider than a square room
     left, bottom = (low[0] + high[0] - width) / 2, low[1] - 0.35
-    ends = np.stack([left + np.linspace(0, 1, STRIP) * width, np.full(STRIP, bottom)], axis=1)
+    ends = np.stack([left + np.linspace(0, 1, SCALE_COLOURS) * width, np.full(SCALE_COLOURS, bottom)], axis=1)
     vertices = np.concatenate([lift(ends, 0.0), lift(ends + [0, 0.12], 0.0)])
-    first = np.arange(STRIP - 1)[:, None]
-    triangles = np.concatenate([first + [0, 1, STRIP + 1], first + [0, STRIP + 1, STRIP]])
+    first = np.arange(SCALE_COLOURS - 1)[:, None]
+    triangles = np.concatenate([first + [0, 1, SCALE_COLOURS + 1], first + [0, SCALE_COLOURS + 1, SCALE_COLOURS]])
     mesh = rr.Mesh3D(vertex_positions=vertices, triangle_indices=triangles, vertex_colors=np.tile(colours, (2, 1)))
     stream.log(path, mesh, static=True)
     share = np.array(list(labels))
     points = lift(np.stack([left + share * width, np.full(len(share), bottom - 0.08)], axis=1), 0.0)
-    at = colours[np.rint(share * (STRIP - 1)).astype(int)]
+    at = colours[np.rint(share * (SCALE_COLOURS - 1)).astype(int)]
     ticks = rr.Points3D(points, radii=0.015, colors=at, labels=list(labels.values()), show_labels=True)
     stream.log(f"{path}/ticks", ticks, static=True)
 

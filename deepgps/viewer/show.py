@@ -20,7 +20,7 @@ from rerun.experimental import ViewerClient
 from deepgps.reports.plots import COLOURS
 from deepgps.runs.run_folder import is_study
 from deepgps.viewer.connect import HOST, find_free_port, has_display, send_file, start_viewer, url_of, wait_for_port
-from deepgps.viewer.pair import CHANGE, write_pair
+from deepgps.viewer.pair import CHANGE_COLOURS, write_pair
 from deepgps.viewer.run import find_recording, lacks_truth
 from deepgps.viewer.study import find_study
 from sim.errors import InputError, WorkError
@@ -28,9 +28,9 @@ from sim.files.atomic import write_bytes
 
 SIZE_PX = "1600x1000"
 MARK = ("Software", "deepgps view --screenshot")
-DRIVER = "--screenshot needs a Vulkan driver, such as Mesa's: apt-get install mesa-vulkan-drivers"
-PATIENCE_S, LOOK_S = 600.0, 0.5
-SHOWN = 0.6  # Share of a colour scale that a picture shows once its error field is drawn
+DRIVER_HINT = "--screenshot needs a Vulkan driver, such as Mesa's: apt-get install mesa-vulkan-drivers"
+PATIENCE_S, POLL_S = 600.0, 0.5
+SHOWN_SHARE = 0.6  # Share of a colour scale that a picture shows once its error field is drawn
 
 
 def view(paths: Sequence[Path]) -> None:
@@ -75,7 +75,7 @@ def write_screenshot(paths: Sequence[Path], out: Path) -> None:
             raise InputError(f"{folder}: its recording has no truth, so there is no error field to take a picture of")
     recording, port = find_shown(paths), find_free_port()
     words = ["--headless", "--hide-welcome-screen", "--window-size", SIZE_PX]
-    with start_viewer(port, words, DRIVER) as viewer, TemporaryDirectory(prefix="deepgps-") as folder:
+    with start_viewer(port, words, DRIVER_HINT) as viewer, TemporaryDirectory(prefix="deepgps-") as folder:
         wait_for_port(port, viewer)
         send_file(recording, url_of(port))
         picture = _take_when_drawn(viewer, url_of(port), Path(folder) / "screenshot.png")
@@ -121,9 +121,9 @@ def choose_ports(page: int | None) -> tuple[int, int]:
 def shows_scale(picture: np.ndarray) -> bool:
     """Whether a picture (rows, columns, 3) has most colours of the scale of errors, or of that of their changes."""
     there = {tuple(colour) for colour in np.unique(picture.reshape(-1, 3) // 8, axis=0)}
-    for colours in (COLOURS, CHANGE):
+    for colours in (COLOURS, CHANGE_COLOURS):
         wanted = (255 * colours(np.linspace(0, 1, 40))[:, :3]).astype(int) // 8
-        if np.mean([tuple(colour) in there for colour in wanted]) > SHOWN:
+        if np.mean([tuple(colour) in there for colour in wanted]) > SHOWN_SHARE:
             return True
     return False
 
@@ -144,5 +144,5 @@ def _take_when_drawn(viewer: Popen, url: str, path: Path) -> Image.Image | None:
             before = picture.tobytes()
         if time.monotonic() > end:
             raise WorkError(f"the Rerun viewer drew no error field within {PATIENCE_S:.0f} s")
-        time.sleep(LOOK_S)
+        time.sleep(POLL_S)
     return None

@@ -7,7 +7,7 @@ from typing import Any
 from deepgps.studies.table import Row, shorten, split_by, tell_apart, varied_in
 
 CASE, SEED, RUN = "case", "seed", "run"
-MOST_DIGITS = 6
+MAX_DIGITS = 6
 NO_CHANGE = "no change"  # a case with the scenario's own settings
 Point = tuple[tuple[Any, ...], ...]  # values of each dimension: case, axes, seed
 
@@ -59,7 +59,7 @@ class Slider:
     @property
     def _per_unit(self) -> int:
         """The smallest power of ten that makes all values whole numbers; 1 where none of reasonable size does."""
-        units = (10**power for power in range(MOST_DIGITS + 1))
+        units = (10**power for power in range(MAX_DIGITS + 1))
         return next((unit for unit in units if all(_is_whole(number * unit) for number in self.numbers)), 1)
 
 

@@ -24,7 +24,7 @@ from sim.files.atomic import write_bytes
 from sim.files.checksums import check_sum, drop_sum, sha256, write_sum
 from sim.recording.format import Recording
 
-DRIVE_TIME, STEP, MAKING, PLACE, PROGRESS = "drive_time", "step", "making", "place", "progress"
+DRIVE_TIME, STEP, MAP_STAGE, PLACE, PROGRESS = "drive_time", "step", "making", "place", "progress"
 RUN_TIME = "run_time"
 PROGRESS_END_S = 100.0  # Seconds in which the viewer plays everything; a second is one per cent
 Rows = Sequence[rr.TimeColumn]  # Times of some rows, on one or several timelines
@@ -115,7 +115,7 @@ def step_rows(step: np.ndarray, last: int) -> Rows:
 
 def making_rows(stage: int, last: int) -> Rows:
     """The row of one stage of a map's making, numbered from 0 to ``last``."""
-    return _with_progress(rr.TimeColumn(MAKING, sequence=[stage]), [PROGRESS_END_S * (stage / max(last, 1))])
+    return _with_progress(rr.TimeColumn(MAP_STAGE, sequence=[stage]), [PROGRESS_END_S * (stage / max(last, 1))])
 
 
 def place_rows(count: int) -> Rows:

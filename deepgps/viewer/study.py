@@ -26,7 +26,7 @@ from deepgps.viewer.error_field import NO_PLACES, log_field
 from deepgps.viewer.layout import arrange, look, text_view
 from deepgps.viewer.plot import plot_view
 from deepgps.viewer.read import open_rrd
-from deepgps.viewer.scene import STILL, log_scale
+from deepgps.viewer.scene import STILL_BEHAVIOUR, log_scale
 from deepgps.viewer.sliders import Slider, find_sliders
 from deepgps.viewer.stream import hash_files, holds, put, put_text, save_recording
 from deepgps.viewer.study_scene import (
@@ -205,7 +205,7 @@ def _field_views(methods: Sequence[str], frame: Frame) -> list[rrb.Spatial3DView
             ],
             eye_controls=look((0.0, 0.0, distance), (0.0, 0.0, 0.0)),
             line_grid=False,
-            overrides=dict.fromkeys(backdrop, STILL),
+            overrides=dict.fromkeys(backdrop, STILL_BEHAVIOUR),
         )
         for method in methods
     ]

@@ -24,7 +24,7 @@ CURVES = {"rms": "RMS", "median": "Median"}
 FIGURES = {"rms_m": "RMS", "median_m": "median", "p95_m": "p95", "max_m": "max"}
 FRAME_M = 4.5  # depth of the rectangle that rooms are drawn in, chosen to suit the size of the text
 MAX_TICKS, MAX_LETTERS, MAX_VALUES = 8, 12, 8
-WIDE = 3.0  # natural logarithm of the ratio from which on errors are drawn on a logarithmic axis
+MIN_LOG_RATIO = 3.0  # natural logarithm of the ratio from which on errors are drawn on a logarithmic axis
 
 
 def slider_row(slider: Slider, place: int) -> Rows:
@@ -83,7 +83,9 @@ def log_curves(stream: rr.RecordingStream, slider: Slider) -> None:
         methods = find_methods(row for _, row in rows)
         curves = [curve for method in methods for curve in _make_curves(method, name, rows)]
         errors = np.concatenate([curve.y for curve in curves])
-        y = make_axis(f"{title} [cm]", errors, log=bool(errors.min() > 0 and np.ptp(np.log(errors)) > WIDE), zero=True)
+        y = make_axis(
+            f"{title} [cm]", errors, log=bool(errors.min() > 0 and np.ptp(np.log(errors)) > MIN_LOG_RATIO), zero=True
+        )
         log_plot(stream, f"curve/{name}", x, y, curves, slider_row(slider, first))
         for place, value in zip(slider.places, where, strict=True):
             log_cursor(stream, f"curve/{name}", x, value, slider_row(slider, place))

@@ -17,9 +17,11 @@ from sim.errors import InputError, quote
 from sim.sensors.camera.lens import Lens
 from sim.sensors.camera.unwrap import COEFFICIENTS, MODELS, RawCamera, Unwrapping, check_camera
 
-INFO = "sensor_msgs/msg/CameraInfo"
-LEAST = np.radians(30.0)  # Smallest angle between the optical axis and the rim that is worth learning from [rad]
-FIRST = 20  # Images of which most have the size of all; some cameras begin with another one
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+MIN_HALF_ANGLE = np.radians(
+    30.0
+)  # Smallest angle between the optical axis and the rim that is worth learning from [rad]
+FIRST_IMAGES = 20  # Images of which most have the size of all; some cameras begin with another one
 
 
 def find_camera(log: Log, config: CameraConfig, size: tuple[int, int]) -> RawCamera:
@@ -74,10 +76,10 @@ def prepare_unwrapping(camera: RawCamera, config: CameraConfig) -> tuple[Unwrapp
     """What makes polar images of the images, and the lens of these; raises InputError if the camera sees too little."""
     seen = camera.find_half_angle(config.circle_px)
     half = seen if config.field_of_view_deg is None else np.radians(config.field_of_view_deg) / 2
-    if half < LEAST:
+    if half < MIN_HALF_ANGLE:
         raise InputError(
             f"camera: the largest circle in the image reaches {np.degrees(half):.1f} deg from the optical axis, and at "
-            f"least {np.degrees(LEAST):g} are needed"
+            f"least {np.degrees(MIN_HALF_ANGLE):g} are needed"
         )
     lens = Lens(float(half))
     return Unwrapping(camera, lens, config.rings, config.sectors, config.forward_deg, config.mirrored), lens
@@ -95,7 +97,7 @@ def read_info(message: Any) -> RawCamera | None:
 
 
 def _read_info(log: Log, topic: str) -> RawCamera:
-    log.check_topic(topic, "camera.info", [INFO])
+    log.check_topic(topic, "camera.info", [CAMERA_INFO])
     why = f"{topic} holds no message"
     for sample, part in log.read([topic]):
         try:
@@ -206,7 +208,7 @@ def open_polar(log: Log, config: CameraConfig) -> PolarSource:
     """
     problems = dict[int, str]()
     sizes = Counter(
-        (image.shape[1], image.shape[0]) for _, image in take_images(log, config.topic, range(FIRST), problems)
+        (image.shape[1], image.shape[0]) for _, image in take_images(log, config.topic, range(FIRST_IMAGES), problems)
     )
     if not sizes:
         why = next(iter(problems.values()), "there is none")

@@ -29,7 +29,7 @@ from sim.errors import InputError, shorten
 from sim.files.atomic import check_space
 
 SUFFIXES = (".bag", ".mcap", ".db3")
-SPECIAL = re.compile(r"[#?%]")
+SPECIAL_CHARACTERS = re.compile(r"[#?%]")
 METADATA = "metadata.yaml"
 ZSTD = ".zstd"
 STRIDE = 1000  # Messages between two reports of progress
@@ -49,7 +49,7 @@ def prepare_databases(path: Path, files: Sequence[Path], stack: ExitStack) -> tu
     """
     stored = [path] if path.is_file() else [one for one in path.iterdir() if not {*SUFFIXES}.isdisjoint(one.suffixes)]
     databases = [one for one in stored if ".db3" in one.suffixes]
-    if not any(_has_wal(one) or SPECIAL.search(str(one.absolute())) for one in databases):
+    if not any(_has_wal(one) or SPECIAL_CHARACTERS.search(str(one.absolute())) for one in databases):
         return path, list(files)
     place = Path(stack.enter_context(TemporaryDirectory(prefix="deepgps-log-")))
     for one in stored:
@@ -64,7 +64,7 @@ def prepare_databases(path: Path, files: Sequence[Path], stack: ExitStack) -> tu
 
 def _rename(name: str) -> str:
     """A name without characters that are special in a URI."""
-    return SPECIAL.sub(lambda found: f"={ord(found[0])}=", name)
+    return SPECIAL_CHARACTERS.sub(lambda found: f"={ord(found[0])}=", name)
 
 
 def _wal(file: Path) -> Path:

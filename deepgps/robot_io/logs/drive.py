@@ -12,19 +12,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from deepgps.robot_io.logs.messages import UNUSABLE, PoseLog, WheelLog, find_poses
+from deepgps.robot_io.logs.messages import UNUSABLE_NOTE, PoseLog, WheelLog, find_poses
 from deepgps.robot_io.logs.pictures import ImageList
 from deepgps.robot_io.logs.robot_config import RobotConfig
 from deepgps.robot_io.logs.segmentation import Motion, Path, find_motions, find_path
 from deepgps.robot_io.logs.wheels import Wheels, clean_wheels, fill_counts
 from sim.errors import InputError
 
-APART_S = 0.05  # Largest difference between clocks, and largest jump of one, that goes unnoticed [s]
+MAX_CLOCK_ERROR_S = 0.05  # Largest difference between clocks, and largest jump of one, that goes unnoticed [s]
 STRETCH_S = 10.0  # Length of the stretches in which the shortest delays are found [s]
-SHORTEST = 5  # Percentile of the delays in a stretch that counts as the shortest
-FEW, MANY = 10, 60  # Fewest and most messages on each side of a jump that must show it
+DELAY_PERCENTILE = 5  # Percentile of the delays in a stretch that counts as the shortest
+MIN_JUMP_MESSAGES, MAX_JUMP_MESSAGES = 10, 60  # Fewest and most messages on each side of a jump that must show it
 NS = 1e-9
-ADVANCING = 0.01
+MIN_CLOCK_RATE = 0.01
 """Stamps that advance by less than this part of the time of logging are none: constant, or in another unit."""
 
 
@@ -48,7 +48,7 @@ class Times:
         if 2 * known.sum() <= len(known):
             return False
         stamped_s, logged_s = (np.ptp(np.percentile(values[known], (10, 90))) for values in (self.stamp_s, self.log_s))
-        return bool(stamped_s >= ADVANCING * logged_s)
+        return bool(stamped_s >= MIN_CLOCK_RATE * logged_s)
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ def align(topics: Sequence[Times], may_align: bool) -> Aligned:
         may_align: Whether clocks that differ are aligned; otherwise they are refused.
 
     Raises:
-        InputError: Clocks differ by more than ``APART_S`` or jump, and may not be aligned.
+        InputError: Clocks differ by more than ``MAX_CLOCK_ERROR_S`` or jump, and may not be aligned.
     """
     problem = next(filter(None, (*map(find_jump, topics), *(compare(topics[0], other) for other in topics[1:]))), None)
     unstamped = [one.topic for one in topics if not one.is_stamped]
@@ -112,7 +112,7 @@ def compare(first: Times, second: Times) -> str | None:
     (number, delay), (other_number, other_delay) = (_find_delays(topic, begin_s) for topic in (first, second))
     both, rows, other_rows = np.intersect1d(number, other_number, assume_unique=True, return_indices=True)
     apart = other_delay[other_rows] - delay[rows]
-    if not len(apart) or np.abs(apart).max() <= APART_S:
+    if not len(apart) or np.abs(apart).max() <= MAX_CLOCK_ERROR_S:
         return None
     worst = int(np.argmax(np.abs(apart)))
     return (
@@ -125,10 +125,12 @@ def find_jump(times: Times) -> str | None:
     """Where a topic's clock was set back; None: nowhere. Messages that only arrive out of order are no jump."""
     known = np.flatnonzero(np.isfinite(times.stamp_s))
     stamp, late = times.stamp_s[known], times.late_s[known]
-    for row in np.flatnonzero(np.diff(stamp) < -APART_S).tolist():
+    for row in np.flatnonzero(np.diff(stamp) < -MAX_CLOCK_ERROR_S).tolist():
         before, after = _beside(late, row)
         step = float(np.median(after) - np.median(before))
-        lasting = min(len(before), len(after)) >= FEW and np.percentile(after, 10) > np.percentile(before, 90)
+        lasting = min(len(before), len(after)) >= MIN_JUMP_MESSAGES and np.percentile(after, 10) > np.percentile(
+            before, 90
+        )
         if lasting and step > 0.5 * (stamp[row] - stamp[row + 1]):
             return f"the clock of {times.topic} is set back by {step:.3f} s at {times.log_s[known[row]]:.1f} s"
     return None
@@ -137,16 +139,19 @@ def find_jump(times: Times) -> str | None:
 def _is_set_ahead(times: Times) -> bool:
     """Whether a topic's clock was set ahead: from a message on, all are logged less long after their stamps."""
     late = times.late_s[np.isfinite(times.stamp_s)]
-    for row in np.flatnonzero(np.diff(late) < -APART_S).tolist():
+    for row in np.flatnonzero(np.diff(late) < -MAX_CLOCK_ERROR_S).tolist():
         before, after = _beside(late, row)
-        if min(len(before), len(after)) >= FEW and np.percentile(after, 90) < np.percentile(before, 10) - APART_S:
+        if (
+            min(len(before), len(after)) >= MIN_JUMP_MESSAGES
+            and np.percentile(after, 90) < np.percentile(before, 10) - MAX_CLOCK_ERROR_S
+        ):
             return True
     return False
 
 
 def _beside(late: np.ndarray, row: int) -> tuple[np.ndarray, np.ndarray]:
-    """The values before and after the step from a row to the next, at most ``MANY`` on each side."""
-    return late[max(row + 1 - MANY, 0) : row + 1], late[row + 1 : row + 1 + MANY]
+    """The values before and after the step from a row to the next, at most ``MAX_JUMP_MESSAGES`` on each side."""
+    return late[max(row + 1 - MAX_JUMP_MESSAGES, 0) : row + 1], late[row + 1 : row + 1 + MAX_JUMP_MESSAGES]
 
 
 def list_offsets(topics: Sequence[Times], starts: Starts) -> Mapping[str, float]:
@@ -166,7 +171,7 @@ def _find_delays(times: Times, begin_s: float) -> tuple[np.ndarray, np.ndarray]:
     order = np.argsort(place, kind="stable")
     numbers, starts = np.unique(place[order], return_index=True)
     parts = np.split(late[good][order], starts[1:]) if len(numbers) else []
-    return numbers, np.array([np.percentile(values, SHORTEST) for values in parts])
+    return numbers, np.array([np.percentile(values, DELAY_PERCENTILE) for values in parts])
 
 
 def _fill(times: Times) -> np.ndarray:
@@ -177,7 +182,7 @@ def _fill(times: Times) -> np.ndarray:
 def _by_recorder(times: Times) -> np.ndarray:
     """Times by the recorder's clock: stamps plus the shortest delay of their stretch, which follows drift and jumps.
 
-    A message whose time then differs by more than ``APART_S`` from the usual delay is next to a jump: NaN.
+    A message whose time then differs by more than ``MAX_CLOCK_ERROR_S`` from the usual delay is next to a jump: NaN.
     """
     if not times.is_stamped:
         return times.log_s
@@ -185,12 +190,12 @@ def _by_recorder(times: Times) -> np.ndarray:
     number, delay = _find_delays(times, begin_s)
     edge = begin_s + STRETCH_S * number
     offset = np.interp(times.log_s, edge + STRETCH_S / 2, delay)
-    if (jumps := np.abs(np.diff(delay)) > APART_S).any() and (find_jump(times) or _is_set_ahead(times)):
+    if (jumps := np.abs(np.diff(delay)) > MAX_CLOCK_ERROR_S).any() and (find_jump(times) or _is_set_ahead(times)):
         nearest = np.clip(np.searchsorted(edge, times.log_s, side="right") - 1, 0, len(edge) - 1)
         offset = delay[nearest]
         at_jump = jumps[np.clip(nearest - 1, 0, len(jumps) - 1)] | jumps[np.clip(nearest, 0, len(jumps) - 1)]
         found = np.where(np.isfinite(times.stamp_s), times.stamp_s + offset, times.log_s)
-        return np.where(at_jump & ~(np.abs(times.late_s - offset) <= APART_S), np.nan, found)
+        return np.where(at_jump & ~(np.abs(times.late_s - offset) <= MAX_CLOCK_ERROR_S), np.nan, found)
     return np.where(np.isfinite(times.stamp_s), times.stamp_s + offset, times.log_s)
 
 
@@ -227,12 +232,12 @@ def find_drive(config: RobotConfig, wheel_log: WheelLog, listed: ImageList, pose
     motions = find_motions(wheels, path, config.wheels.track_m)
     if config.pose and pose_log is not None:
         if pose_log.without:
-            notes.append(f"{config.pose.topic}: {pose_log.without} messages are left out: {UNUSABLE}")
+            notes.append(f"{config.pose.topic}: {pose_log.without} messages are left out: {UNUSABLE_NOTE}")
         pose = find_poses(time_s[config.pose.topic], pose_log.pose, np.nan_to_num(image_s, nan=-np.inf))
         if config.pose.use == "truth" and (lacking := int(np.isnan(pose[:, 0]).sum())):
             notes.append(f"{config.pose.topic}: {lacking} images have no pose within half a second and are left out")
     if wheel_log.without:
-        why = f"are left out: {UNUSABLE}" if wheel_log.from_odometry else "hold neither wheel"
+        why = f"are left out: {UNUSABLE_NOTE}" if wheel_log.from_odometry else "hold neither wheel"
         notes.append(f"{config.wheels.topic}: {wheel_log.without} messages {why}")
     if wheel_log.from_odometry:
         notes.append(f"{config.wheels.topic}: wheels are computed from the odometry, so they cannot be diagnosed")

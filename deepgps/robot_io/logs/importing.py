@@ -30,11 +30,11 @@ from sim.recording.format import finish_recording
 from sim.recording.manifest import DEPLOYMENT_FOLDER
 from sim.settings import CameraSettings
 
-MOST_DAMAGED = 0.05  # Share of damaged images from which a log is refused
-FEWEST_SEGMENTS = 3
+MAX_DAMAGED_SHARE = 0.05  # Share of damaged images from which a log is refused
+MIN_SEGMENTS = 3
 """Segments from which one is held out, however small the part that is wanted: errors cannot be measured without."""
 
-WRITTEN_LAST = ("schema", "sha256", "checksum")
+LAST_ENTRIES = ("schema", "sha256", "checksum")
 """Entries of a manifest that are written again when a drive in use is added."""
 HEIGHTS_M = (0.2, 1.5)  # Limits of the setting camera.height_m, by which only the viewer draws [m]
 
@@ -120,7 +120,7 @@ def _write(
         with TemporaryFile(dir=out.parent) as file:
             source.draw(choice.numbers, file, progress, "unwrap images")
             damage = _describe_damage(source, drive)
-            if len(source.damaged) > max(MOST_DAMAGED * len(source.drawn), 1):
+            if len(source.damaged) > max(MAX_DAMAGED_SHARE * len(source.drawn), 1):
                 raise InputError(damage)
             if len(source.damaged) > before:
                 continue
@@ -137,7 +137,7 @@ def _choose(config: RobotConfig, source: PolarSource, drive: LoggedDrive, lag_s:
     images = _match(config, source, drive, lag_s)
     straight = [number for number, motion in enumerate(drive.motions) if motion.kind == "straight"]
     held_out = round(config.drive.held_out * len(straight))
-    if config.drive.held_out and len(straight) >= FEWEST_SEGMENTS:
+    if config.drive.held_out and len(straight) >= MIN_SEGMENTS:
         held_out = max(held_out, 1)
     count = len(straight) - held_out
     end = straight[count] if count < len(straight) else len(drive.motions)
@@ -202,7 +202,7 @@ def _store(
                 config, source, drive, choice.test, test, test_turn, folder / DEPLOYMENT_FOLDER, {"source": "log"}, {}
             )
             manifest = read_json(folder / "manifest.json")
-            finish_recording(folder, {name: value for name, value in manifest.items() if name not in WRITTEN_LAST})
+            finish_recording(folder, {name: value for name, value in manifest.items() if name not in LAST_ENTRIES})
 
 
 def _write_plan(

@@ -16,22 +16,22 @@ from deepgps.terminal.progress import Report
 from sim.errors import InputError
 from sim.geometry import wrap
 
-FINER = 16  # Points between two sectors at which shifts are compared
-LONGEST_S = 0.5  # Largest lag that is looked for [s]
+OVERSAMPLING = 16  # Points between two sectors at which shifts are compared
+MAX_LAG_S = 0.5  # Largest lag that is looked for [s]
 STEP_S = 0.002
 OUTLIER_RAD = 0.1  # Differences from here on count no more [rad]
-LEAST_RAD = 0.05  # Turns between two images that are smaller than this tell nothing [rad]
-FEWEST = 12  # Fewest pairs of images from which a lag is estimated
-MOST_PAIRS = 400  # Pairs of images from which the lag is estimated at most
+MIN_TURN_RAD = 0.05  # Turns between two images that are smaller than this tell nothing [rad]
+MIN_PAIRS = 12  # Fewest pairs of images from which a lag is estimated
+MAX_PAIRS = 400  # Pairs of images from which the lag is estimated at most
 PAIR_S = (0.19, 0.5)
 """Shortest and longest time between the two images of a pair [s]: two images of a fast camera hardly differ."""
-AROUND_S = 0.3  # Images are looked at this long before and after a turn [s]
-AGREE = 0.5  # Share of turns in which images and wheels must agree
-NO_RADIANS = 10.0
+TURN_MARGIN_S = 0.3  # Images are looked at this long before and after a turn [s]
+MIN_AGREEING_SHARE = 0.5  # Share of turns in which images and wheels must agree
+UNIT_RATIO = 10.0
 """How many times as far as the images the wheels turn at least if their angles are in degrees or ticks."""
-FEW_SEEN = 0.2  # Share of the wheels' turns below which images seem not to turn. Good logs have nearly all
-TURNING_RAD = 0.15  # Turn of the wheels between two images that images show whatever their lag [rad]
-MOST_STILL = 0.2  # Share of such turns in which images may stand still without a note
+MIN_SEEN_SHARE = 0.2  # Share of the wheels' turns below which images seem not to turn. Good logs have nearly all
+VISIBLE_TURN_RAD = 0.15  # Turn of the wheels between two images that images show whatever their lag [rad]
+MAX_STILL_SHARE = 0.2  # Share of such turns in which images may stand still without a note
 DRIVES: tuple[Kind, ...] = ("straight", "back", "arc")
 """Motions that a turn in place becomes by wheels of which one counts backward."""
 
@@ -58,8 +58,8 @@ def measure_shift(first: np.ndarray, second: np.ndarray) -> float:
     """Turn to the left between two polar images (rings, sectors, 3) of one place [rad], by cross-correlation."""
     one, two = (np.fft.rfft(_sharpen(image), axis=1) for image in (first, second))
     sectors = first.shape[1]
-    likely = np.fft.irfft((one * two.conj()).sum(axis=(0, 2)), sectors * FINER)
-    return float(wrap(2 * np.pi * np.argmax(likely) / (sectors * FINER)))
+    likely = np.fft.irfft((one * two.conj()).sum(axis=(0, 2)), sectors * OVERSAMPLING)
+    return float(wrap(2 * np.pi * np.argmax(likely) / (sectors * OVERSAMPLING)))
 
 
 def _sharpen(image: np.ndarray) -> np.ndarray:
@@ -71,9 +71,9 @@ def _sharpen(image: np.ndarray) -> np.ndarray:
 
 def estimate_lag(pairs: Pairs, time_s: np.ndarray, yaw: np.ndarray) -> Lag | None:
     """The lag at which the wheels' heading (n,) [rad] at times (n,) [s] turns as the images; None: too few turns."""
-    known = np.abs(pairs.turned) > LEAST_RAD
+    known = np.abs(pairs.turned) > MIN_TURN_RAD
     first_s, second_s, turned = (values[known] for values in pairs)
-    if len(turned) < FEWEST:
+    if len(turned) < MIN_PAIRS:
         return None
 
     def turn_by_wheels(lag_s: float) -> np.ndarray:
@@ -83,7 +83,7 @@ def estimate_lag(pairs: Pairs, time_s: np.ndarray, yaw: np.ndarray) -> Lag | Non
         return np.abs(wrap(sign * turned - turn_by_wheels(lag_s)))
 
     def best(sign: float) -> tuple[float, float]:
-        lags = np.arange(-LONGEST_S, LONGEST_S + STEP_S / 2, STEP_S)
+        lags = np.arange(-MAX_LAG_S, MAX_LAG_S + STEP_S / 2, STEP_S)
         cost = np.array([np.minimum(differ(lag, sign) ** 2, OUTLIER_RAD**2).sum() for lag in lags])
         lag_s = float(lags[int(np.argmin(cost))])
         return lag_s, float((differ(lag_s, sign) < OUTLIER_RAD / 2).mean())
@@ -107,7 +107,7 @@ def measure_lag(
     Raises:
         InputError: Images turn where the wheels drive, and not where they turn: one wheel counts backward.
     """
-    pairs = _measure_pairs(source, _pair_images(drive, ("turn",), AROUND_S), drive, file, progress)
+    pairs = _measure_pairs(source, _pair_images(drive, ("turn",), TURN_MARGIN_S), drive, file, progress)
     by_wheels = _turn_by_wheels(pairs, drive)
     _refuse_reversed(pairs, by_wheels, source, drive, file, progress)
     lag = estimate_lag(pairs, drive.wheels.time_s, drive.path.yaw)
@@ -122,9 +122,9 @@ def _turn_by_wheels(pairs: Pairs, drive: LoggedDrive) -> np.ndarray:
 
 def _doubt_images(pairs: Pairs, by_wheels: np.ndarray, topic: str) -> list[str]:
     """A note if images do not turn in many turns of the wheels."""
-    some = np.abs(by_wheels) > TURNING_RAD
-    still = some & (np.abs(pairs.turned) < LEAST_RAD / 2)
-    if some.sum() < FEWEST or still.sum() <= MOST_STILL * some.sum():
+    some = np.abs(by_wheels) > VISIBLE_TURN_RAD
+    still = some & (np.abs(pairs.turned) < MIN_TURN_RAD / 2)
+    if some.sum() < MIN_PAIRS or still.sum() <= MAX_STILL_SHARE * some.sum():
         return []
     return [
         f"{topic}: in {still.sum() / some.sum():.0%} of {some.sum()} pairs taken while the wheels turn, images do not "
@@ -152,11 +152,11 @@ def _refuse_reversed(
 
     Images that show nothing, as of a covered camera, turn nowhere, so they are no reason.
     """
-    turned = pairs.turned[np.abs(by_wheels) > LEAST_RAD]
-    if len(turned) < FEWEST or _share_turning(turned) >= FEW_SEEN:
+    turned = pairs.turned[np.abs(by_wheels) > MIN_TURN_RAD]
+    if len(turned) < MIN_PAIRS or _share_turning(turned) >= MIN_SEEN_SHARE:
         return
     driven = _measure_pairs(source, _pair_images(drive, DRIVES, 0.0), drive, file, progress)
-    if len(driven.turned) >= FEWEST and _share_turning(driven.turned) > AGREE:
+    if len(driven.turned) >= MIN_PAIRS and _share_turning(driven.turned) > MIN_AGREEING_SHARE:
         raise InputError(
             f"wheels.left, wheels.right: they turn against each other in {len(turned)} pairs of images of which "
             f"{_share_turning(turned):.0%} turn, and images turn where they do not: one of them counts backward, "
@@ -176,7 +176,7 @@ def _find_reversed(driven: Pairs, drive: LoggedDrive) -> str:
 
 def _share_turning(turned: np.ndarray) -> float:
     """Share of turns between two images (p,) [rad] that are no error of measurement."""
-    return float((np.abs(turned) > LEAST_RAD / 2).mean())
+    return float((np.abs(turned) > MIN_TURN_RAD / 2).mean())
 
 
 def _pair_images(drive: LoggedDrive, kinds: Collection[Kind], around_s: float) -> tuple[np.ndarray, np.ndarray]:
@@ -195,7 +195,7 @@ def _pair_images(drive: LoggedDrive, kinds: Collection[Kind], around_s: float) -
     second = np.searchsorted(image_s, image_s + PAIR_S[0])
     rows = np.flatnonzero(inside & (second < len(order)))
     rows = rows[inside[second[rows]] & (image_s[second[rows]] - image_s[rows] < PAIR_S[1])]
-    rows = rows[np.unique(np.linspace(0, len(rows) - 1, MOST_PAIRS).astype(int))] if len(rows) else rows
+    rows = rows[np.unique(np.linspace(0, len(rows) - 1, MAX_PAIRS).astype(int))] if len(rows) else rows
     return order[rows], order[second[rows]]
 
 
@@ -212,21 +212,21 @@ def choose_lag(given: float | str, lag: Lag | None) -> tuple[float, list[str]]:
     if lag is None:
         if given == "estimate":
             raise InputError(
-                f"wheels.lag_s estimate: fewer than {FEWEST} pairs of images show a turn in place; give a number"
+                f"wheels.lag_s estimate: fewer than {MIN_PAIRS} pairs of images show a turn in place; give a number"
             )
         return float(given), []
-    if lag.agree < AGREE and lag.mirrored > max(AGREE, lag.agree + 0.2):
+    if lag.agree < MIN_AGREEING_SHARE and lag.mirrored > max(MIN_AGREEING_SHARE, lag.agree + 0.2):
         raise InputError(
             f"in {lag.mirrored:.0%} of {lag.pairs} turns images turn against the wheels: camera.mirrored is wrong, "
             "wheels.left and wheels.right are exchanged, or both wheels count backward (wheels.backward)"
         )
-    if lag.ratio > NO_RADIANS:
+    if lag.ratio > UNIT_RATIO:
         raise InputError(
             f"wheels.left, wheels.right: they turn {lag.ratio:.0f} times as far as the images: their positions must be "
             "angles in radians"
         )
     notes = []
-    if lag.agree < AGREE:
+    if lag.agree < MIN_AGREEING_SHARE:
         notes.append(
             f"in only {lag.agree:.0%} of {lag.pairs} turns images and wheels agree, and "
             f"the wheels turn {lag.ratio:.2g} times as far: check radius, track, lens"

@@ -8,19 +8,19 @@ from typing import Any
 import numpy as np
 
 from deepgps.robot_io.logs import plain_folder
-from deepgps.robot_io.logs.camera import INFO, read_info
+from deepgps.robot_io.logs.camera import CAMERA_INFO, read_info
 from deepgps.robot_io.logs.containers import Log, open_log
-from deepgps.robot_io.logs.drive import APART_S, compare, find_starts, take_times
+from deepgps.robot_io.logs.drive import MAX_CLOCK_ERROR_S, compare, find_starts, take_times
 from deepgps.robot_io.logs.messages import GAP_S, JOINT_STATE, ODOMETRY, POSE_KINDS
-from deepgps.robot_io.logs.pictures import COMPRESSED, RAW, decoder
+from deepgps.robot_io.logs.pictures import COMPRESSED_IMAGE, RAW_IMAGE, decoder
 from deepgps.terminal.progress import Report
 from sim.errors import InputError, shorten
 
-FIRST = 50  # Messages of a topic that are decoded
+FIRST_MESSAGES = 50  # Messages of a topic that are decoded
 TURTLEBOT3 = ("wheel_left_joint", "wheel_right_joint")
 BURGER = {"radius_m": 0.033, "track_m": 0.16}
-DECODED = (JOINT_STATE, INFO, RAW, COMPRESSED)
-DESCRIBED = (*DECODED, ODOMETRY, *POSE_KINDS)  # Types of which more is said than the number of messages
+DECODED_TYPES = (JOINT_STATE, CAMERA_INFO, RAW_IMAGE, COMPRESSED_IMAGE)
+DESCRIBED_TYPES = (*DECODED_TYPES, ODOMETRY, *POSE_KINDS)  # Types of which more is said than the number of messages
 
 
 @dataclass
@@ -55,7 +55,7 @@ def look(path: Path, progress: Report) -> str:
             one = seen[sample.topic]
             one.log_ns.append(sample.log_ns)
             one.stamp_ns.append(sample.stamp_ns)
-            if len(one.log_ns) <= FIRST and one.kind in DECODED:
+            if len(one.log_ns) <= FIRST_MESSAGES and one.kind in DECODED_TYPES:
                 _take_details(one, part.decode(sample))
         lines = [f"# {shorten(str(path), 300)}", *(f"# note: {note}" for note in log.notes), "#"]
         for topic, one in seen.items():
@@ -67,10 +67,10 @@ def look(path: Path, progress: Report) -> str:
 def _take_details(one: Seen, message: Any) -> None:
     if one.kind == JOINT_STATE:
         one.names.update(dict.fromkeys(message.name))
-    elif one.kind == INFO:
+    elif one.kind == CAMERA_INFO:
         one.details[_describe_info(one, message)] = None
     elif not one.details:
-        said = message.encoding if one.kind == RAW else f"format {message.format!r}"
+        said = message.encoding if one.kind == RAW_IMAGE else f"format {message.format!r}"
         try:
             height, width = decoder(one.kind)(message).shape[:2]
             one.details[f"{said}, {width} x {height} px"] = None
@@ -95,7 +95,7 @@ def _describe(topic: str, one: Seen) -> list[str]:
     """Lines on a topic: its type and number of messages, their rate, gaps, order and clock, and what they hold."""
     count = len(one.log_ns)
     lines = [f"{topic}  {one.kind}  {count} messages"]
-    if one.kind not in DESCRIBED:
+    if one.kind not in DESCRIBED_TYPES:
         return lines
     if count > 1:
         time_s = np.array(one.log_ns) * 1e-9
@@ -162,14 +162,14 @@ def _find_joints(one: Seen) -> tuple[str, str]:
 
 def _find_camera(seen: dict[str, Seen]) -> str | None:
     """The topic with most images that are no depths."""
-    images = [topic for topic, one in seen.items() if one.kind in {RAW, COMPRESSED} and one.log_ns]
+    images = [topic for topic, one in seen.items() if one.kind in {RAW_IMAGE, COMPRESSED_IMAGE} and one.log_ns]
     some = [topic for topic in images if "depth" not in topic.lower()]
     return max(some, key=lambda topic: len(seen[topic].log_ns), default=None)
 
 
 def _find_info(seen: dict[str, Seen], camera: str | None) -> str | None:
     """The calibrated CameraInfo that shares most of its name with the camera."""
-    some = [topic for topic, one in seen.items() if one.kind == INFO and one.calibrated]
+    some = [topic for topic, one in seen.items() if one.kind == CAMERA_INFO and one.calibrated]
 
     def share(topic: str) -> int:
         same = [a == b for a, b in zip(topic.split("/"), (camera or "").split("/"), strict=False)]
@@ -188,7 +188,9 @@ def _find_pose(seen: dict[str, Seen]) -> str | None:
 def _compare_clocks(seen: dict[str, Seen]) -> list[str]:
     wheels, camera = _find_wheels(seen), _find_camera(seen)
     problem = _clocks_differ(seen, wheels, camera)
-    return [f"# {problem}: more than {1000 * APART_S:.0f} ms, so they must be aligned", "#"] if problem else []
+    return (
+        [f"# {problem}: more than {1000 * MAX_CLOCK_ERROR_S:.0f} ms, so they must be aligned", "#"] if problem else []
+    )
 
 
 def _clocks_differ(seen: dict[str, Seen], wheels: str | None, camera: str | None) -> str | None:

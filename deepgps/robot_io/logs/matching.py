@@ -16,13 +16,13 @@ from sim.recording.format import measure_driven
 from sim.recording.turns import KINDS, NO_IMAGE
 from sim.sensors.encoder import ticks_to_distance
 
-NEAR_M, NEAR_RAD = 0.003, np.radians(0.4)
+MATCH_M, MATCH_RAD = 0.003, np.radians(0.4)
 """An image shows the place and heading at which a turn begins or ends if it is as near as this [m], [rad]."""
-IN_PLACE_M, NEARBY_M = 0.02, 0.3
+MAX_SHIFT_M, NEIGHBOURHOOD_M = 0.02, 0.3
 """Way between two segments up to which the robot turned in place, and up to which the next one begins nearby [m]."""
-DOUBTFUL_M = 0.12
+DOUBTFUL_DISTANCE_M = 0.12
 """Before the robot backs off, it has touched something: its wheels may have slipped over this last distance [m]."""
-CLOSE = 0.4  # The last images of a segment are at least this part of the spacing apart
+MIN_SPACING_SHARE = 0.4  # The last images of a segment are at least this part of the spacing apart
 IN_PLACE, BACKED_OFF, RELOCATED = (KINDS.index(name) for name in ("in_place", "backed_off", "relocated"))
 
 
@@ -91,9 +91,9 @@ def judge_turn(between: Sequence[Motion], wheels: Wheels, path: Path) -> int:
         if one.kind not in {"rest", "turn"}:
             way += path.find_way(one)
             turned += abs(path.yaw[one.last] - path.yaw[one.first]) if one.kind != "back" else 0.0
-    if way <= IN_PLACE_M:
+    if way <= MAX_SHIFT_M:
         return IN_PLACE
-    return BACKED_OFF if way <= NEARBY_M and turned * way < IN_PLACE_M else RELOCATED
+    return BACKED_OFF if way <= NEIGHBOURHOOD_M and turned * way < MAX_SHIFT_M else RELOCATED
 
 
 def _choose(
@@ -105,7 +105,7 @@ def _choose(
     first, last = _range_at_rest(motions, number)
     rows = np.arange(*np.searchsorted(images.wheel_s, (wheels.time_s[first], wheels.time_s[last])))
     if _backs_off(motions[number + 1 :]):
-        rows = rows[images.path.travelled_m[rows] <= path.travelled_m[motions[number].last] - DOUBTFUL_M]
+        rows = rows[images.path.travelled_m[rows] <= path.travelled_m[motions[number].last] - DOUBTFUL_DISTANCE_M]
     if not len(rows):
         return rows
     place = np.maximum.accumulate(images.path.travelled_m[rows])
@@ -113,8 +113,8 @@ def _choose(
     after = np.clip(np.searchsorted(place, target), 1, max(len(place) - 1, 1))
     after = np.minimum(after, len(place) - 1)
     nearer = np.where(target - place[after - 1] < place[after] - target, after - 1, after)
-    nearer[:1] = np.searchsorted(place, place[0] + NEAR_M / 3) - 1  # at rest, the latest
-    kept = np.unique(np.append(nearer[place[-1] - place[nearer] >= CLOSE * spacing_m], len(place) - 1))
+    nearer[:1] = np.searchsorted(place, place[0] + MATCH_M / 3) - 1  # at rest, the latest
+    kept = np.unique(np.append(nearer[place[-1] - place[nearer] >= MIN_SPACING_SHARE * spacing_m], len(place) - 1))
     return rows[kept]
 
 
@@ -155,7 +155,7 @@ def _find_after(
 def _is_near(images: Images, row: int, path: Path, message: int) -> bool:
     """Whether an image was taken where the robot was at a message of the wheels, under the same heading."""
     apart_m = images.path.travelled_m[row] - path.travelled_m[message]
-    return abs(apart_m) <= NEAR_M and abs(images.path.yaw[row] - path.yaw[message]) <= NEAR_RAD
+    return abs(apart_m) <= MATCH_M and abs(images.path.yaw[row] - path.yaw[message]) <= MATCH_RAD
 
 
 class _Builder:
@@ -183,7 +183,7 @@ class _Builder:
         self.segment += 1
         self.readings.append((self.segment, len(self.rows) - 1, after))
         place = self.images.path.travelled_m
-        self._extend(rows[place[rows] - place[after] >= CLOSE * spacing_m])
+        self._extend(rows[place[rows] - place[after] >= MIN_SPACING_SHARE * spacing_m])
 
     def _extend(self, rows: np.ndarray) -> None:
         for row in rows.tolist():
@@ -203,12 +203,12 @@ class _Builder:
         )
 
 
-MOST = 0.95
+MIN_COVERED_SHARE = 0.95
 """Part of the drive that images must cover, and part of the images that must be taken during it; else it is noted."""
-GAP_S, GAPS = 1.0, 5.0
+GAP_S, GAP_FACTOR = 1.0, 5.0
 """Time between two images in which the drive is not seen [s], if it is also this multiple of the usual time."""
-REACH = 0.9  # Part of the polar image's angle that the camera must see all around; otherwise it is noted
-LEFT_OUT = {"arc": "arcs", "back": "backward motions", "rest": "rests", "unknown": "gaps"}
+MIN_REACH = 0.9  # Part of the polar image's angle that the camera must see all around; otherwise it is noted
+OTHER_MOTIONS = {"arc": "arcs", "back": "backward motions", "rest": "rests", "unknown": "gaps"}
 """Kinds of motion that hold neither segments nor turns, and their names in the plural."""
 
 
@@ -220,15 +220,15 @@ def note_cover(topic: str, drive: LoggedDrive) -> list[str]:
     if not len(seen_s):
         return []
     notes, step = [], np.diff(seen_s)
-    gap = step > max(GAP_S, GAPS * float(np.median(step)) if len(step) else 0.0)
+    gap = step > max(GAP_S, GAP_FACTOR * float(np.median(step)) if len(step) else 0.0)
     covered_s = float(step[~gap].sum())
-    if covered_s < MOST * (end_s - begin_s):
+    if covered_s < MIN_COVERED_SHARE * (end_s - begin_s):
         longest = f", without {step.max():.0f} s from {seen_s[np.argmax(step)]:.1f} s on" if gap.any() else ""
         notes.append(
             f"{topic}: images cover {covered_s:.0f} of {end_s - begin_s:.0f} s of the drive, from {seen_s[0]:.1f} to "
             f"{seen_s[-1]:.1f} s{longest}; the rest is not used"
         )
-    if len(seen_s) < MOST * len(image_s):
+    if len(seen_s) < MIN_COVERED_SHARE * len(image_s):
         notes.append(
             f"{topic}: {len(image_s) - len(seen_s)} of {len(image_s)} images were taken before or after the wheels "
             "were logged, and are left out"
@@ -239,7 +239,7 @@ def note_cover(topic: str, drive: LoggedDrive) -> list[str]:
 def note_reach(source: PolarSource) -> list[str]:
     """A note if polar images go further from the optical axis than the camera's images do."""
     reach, half = source.camera.find_half_angle(), source.lens.half_angle
-    if reach >= REACH * half:
+    if reach >= MIN_REACH * half:
         return []
     return [
         f"{source.topic}: images reach {np.degrees(reach):.0f} deg from the optical axis all around it, and polar "
@@ -276,7 +276,7 @@ def describe(config: RobotConfig, source: PolarSource, drive: LoggedDrive, train
         "segments_m": measure_driven(train.reading[:, 0], travelled_m.mean(axis=1)),
         "turns": {name: int((kind == number).sum()) for number, name in enumerate(KINDS)},
         "turns_seen": len(train.turn_image),
-        "left_out": {name: _sum_up(drive, name) for name in LEFT_OUT},
+        "left_out": {name: _sum_up(drive, name) for name in OTHER_MOTIONS},
     }
 
 
@@ -312,7 +312,7 @@ def write_summary(about: Mapping[str, Any]) -> str:
         "left out: "
         + ", ".join(
             f"{out[kind]['count']} {name} ({out[kind]['metres']:.1f} m, {out[kind]['seconds']:.0f} s)"
-            for kind, name in LEFT_OUT.items()
+            for kind, name in OTHER_MOTIONS.items()
         ),
         f"wheels {1000 * about['lag_s']:.0f} ms later than images",
     ]

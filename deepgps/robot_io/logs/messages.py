@@ -16,9 +16,9 @@ from sim.geometry import wrap
 
 JOINT_STATE, ODOMETRY = "sensor_msgs/msg/JointState", "nav_msgs/msg/Odometry"
 WHEEL_KINDS = (JOINT_STATE, ODOMETRY)
-LEAST_LENGTH = 1e-6  # Length of a quaternion up to which it tells no orientation
-MOST_SIDEWAYS = 0.2  # Part of an odometry's path that may go sideways; more, and its orientation is wrong
-UNUSABLE = "the position or the quaternion is not finite, or the quaternion is 0"  # Why a message of a pose is left out
+MIN_LENGTH = 1e-6  # Length of a quaternion up to which it tells no orientation
+MAX_SIDEWAYS_SHARE = 0.2  # Part of an odometry's path that may go sideways; more, and its orientation is wrong
+UNUSABLE_NOTE = "the position or the quaternion is not finite, or the quaternion is 0"  # Why a pose is left out
 POSE_KINDS = (
     "geometry_msgs/msg/PoseStamped",
     "geometry_msgs/msg/PoseWithCovarianceStamped",
@@ -64,13 +64,13 @@ class WheelLog:
     @property
     def goes_sideways(self) -> bool:
         """Whether an odometry's path goes sideways by more than its noise does."""
-        return self._path is not None and self._path.sideways_m > MOST_SIDEWAYS * self._path.way_m
+        return self._path is not None and self._path.sideways_m > MAX_SIDEWAYS_SHARE * self._path.way_m
 
     def check(self) -> None:
         """Raise InputError unless there are positions of both wheels."""
         topic = self.config.topic
         if not self.names and not self.log_ns:
-            why = f": in {self.without} messages {UNUSABLE}" if self.without else ""
+            why = f": in {self.without} messages {UNUSABLE_NOTE}" if self.without else ""
             raise InputError(f"{topic} holds no message of wheels{why}")
         known = [bool(np.isfinite(wheel).any()) for wheel in self.angle.T]
         for name, has in zip((self.config.left, self.config.right), known, strict=True):
@@ -156,7 +156,7 @@ def read_yaw(turn: Any) -> float:
     """Yaw of a quaternion message [rad], of any length; NaN if it is 0, which some drivers send for no orientation."""
     w, x, y, z = (float(getattr(turn, axis)) for axis in "wxyz")
     length = math.hypot(w, x, y, z)
-    if not length > LEAST_LENGTH:
+    if not length > MIN_LENGTH:
         return math.nan
     w, x, y, z = w / length, x / length, y / length, z / length
     return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
@@ -189,7 +189,7 @@ class PoseLog:
     def check(self, topic: str) -> None:
         """Raise InputError if there is no pose."""
         if not self.log_ns:
-            why = f": in {self.without} messages {UNUSABLE}" if self.without else ""
+            why = f": in {self.without} messages {UNUSABLE_NOTE}" if self.without else ""
             raise InputError(f"pose.topic {topic} holds no pose{why}")
 
 

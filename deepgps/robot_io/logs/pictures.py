@@ -12,10 +12,10 @@ from deepgps.robot_io.logs.containers import Log
 from deepgps.robot_io.logs.stored import Part, Sample
 from sim.errors import InputError, one_line, quote
 
-RAW, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+RAW_IMAGE, COMPRESSED_IMAGE = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 MAGIC = (b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n")
 """How JPEG and PNG begin; what a message says of its format differs between drivers."""
-KINDS = (RAW, COMPRESSED)
+KINDS = (RAW_IMAGE, COMPRESSED_IMAGE)
 
 
 # what OpenCV says of a damaged picture is in our own message
@@ -54,7 +54,7 @@ ENCODINGS = {
 
 def decoder(kind: str) -> Callable[[Any], np.ndarray]:
     """The function that turns a message of a type into an image (height, width, 3) uint8 RGB, or raises InputError."""
-    take = decode_raw if kind == RAW else decode_compressed
+    take = decode_raw if kind == RAW_IMAGE else decode_compressed
 
     def decode(message: Any) -> np.ndarray:
         try:

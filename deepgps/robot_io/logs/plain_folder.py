@@ -31,7 +31,7 @@ JOINTS = ["left", "right"]
 SUFFIXES = {".jpg", ".jpeg", ".png"}
 SECOND_DIGITS, NANOSECOND_DIGITS = 10, 16
 """Digits of whole seconds, and of nanoseconds, since 1970; with fewer, a name is a number and no time."""
-LATEST_S = 9e9  # Largest time that is believed [s]: in the year 2255. Milliseconds since 1970 are larger
+MAX_TIME_S = 9e9  # Largest time that is believed [s]: in the year 2255. Milliseconds since 1970 are larger
 UPTIME_NS, SINCE_1970_NS = 10**15, 10**18
 """Names in nanoseconds are below the one, by a clock that began with the robot, or from the other on, since 1970 [ns].
 Those between are microseconds since 1970."""
@@ -116,7 +116,7 @@ def _read_name(folder: Path, name: str) -> int:
         ns = int(stem) if in_ns else _read_ns(stem)
     except (ValueError, OverflowError):
         raise InputError(f"{folder / IMAGES / name}: its name is no time [s], and there is no {TIMES}") from None
-    if abs(ns) > LATEST_S * 1e9 or (in_ns and UPTIME_NS <= ns < SINCE_1970_NS):
+    if abs(ns) > MAX_TIME_S * 1e9 or (in_ns and UPTIME_NS <= ns < SINCE_1970_NS):
         raise InputError(
             f"{folder / IMAGES / name}: its name must be seconds, or nanoseconds since 1970, and there is no {TIMES}; "
             "is it in ms or us?"
@@ -157,7 +157,7 @@ def _read_table(path: Path) -> Iterator[list[str]]:
             except ValueError:  # a last line was cut off; any other is an error
                 wrong = f"{path}: line {reader.line_num} must be {','.join(columns)}, and is {quote(row)}"
                 continue
-            if abs(numbers[0]) > LATEST_S:
+            if abs(numbers[0]) > MAX_TIME_S:
                 raise InputError(
                     f"{path}: line {reader.line_num}: time_s {quote(row[0])} must be seconds; is it in ms or ns?"
                 )

@@ -17,14 +17,14 @@ KINDS: tuple[Kind, ...] = ("straight", "turn", "rest", "arc", "back", "unknown")
 WINDOW_S = 0.1  # Speeds are measured over this much before and after [s]
 REST_MPS = 0.005  # Speed of both rims up to which the robot rests [m/s]
 DRIVING_MPS = 0.025  # Speed from which the usual curvature and the noise of turn rates are measured [m/s]
-DEVIATIONS = 3.0  # Standard deviations of turn rates by which a straight drive may seem to turn
-CURVED_PER_M = 0.25  # Curvature from which a drive is an arc [1/m]: a radius of 4 m
-CURVED_RADPS = 0.02  # Turn rate of a straight drive that is always allowed, for the encoders' resolution [rad/s]
-USUAL_PER_M = 0.15  # Largest curvature that is taken off as the usual one [1/m]
-BENT_RAD = np.radians(8.0)  # Largest change of heading on a segment [rad]
+MAX_DEVIATIONS = 3.0  # Standard deviations of turn rates by which a straight drive may seem to turn
+ARC_CURVATURE_PER_M = 0.25  # Curvature from which a drive is an arc [1/m]: a radius of 4 m
+MIN_ARC_RATE_RADPS = 0.02  # Turn rate of a straight drive that is always allowed, for the encoders' resolution [rad/s]
+MAX_USUAL_CURVATURE_PER_M = 0.15  # Largest curvature that is taken off as the usual one [1/m]
+MAX_BEND_RAD = np.radians(8.0)  # Largest change of heading on a segment [rad]
 JOIN_RAD = np.radians(1.0)  # Heading that may change where a segment speeds up or brakes, or rests in between [rad]
 JOIN_M = 0.03  # Way of a motion that is too short to count, between two that do [m]
-SHORTEST_M, SHORTEST_BACK_M = 0.03, 0.015
+MIN_SEGMENT_M, MIN_BACK_M = 0.03, 0.015
 """Shortest segment and shortest way back [m]; what is shorter is an arc. Wheels that come to rest do not back off."""
 
 
@@ -58,7 +58,7 @@ def find_path(angle: np.ndarray, radius_m: float, track_m: float) -> Path:
 def find_motions(wheels: Wheels, path: Path, track_m: float) -> list[Motion]:
     """Divide a drive into motions, in order; together they cover it."""
     path = _take_off_usual(wheels, path)
-    motions = _leave_out_short(_group(_judge(wheels, path, track_m)), "back", SHORTEST_BACK_M, path)
+    motions = _leave_out_short(_group(_judge(wheels, path, track_m)), "back", MIN_BACK_M, path)
     motions = [part for motion in motions for part in _divide_bent(motion, path)]
     return _join(motions, path)
 
@@ -66,9 +66,12 @@ def find_motions(wheels: Wheels, path: Path, track_m: float) -> list[Motion]:
 def _take_off_usual(wheels: Wheels, path: Path) -> Path:
     """The path without the curvature that it usually has where the robot drives nearly straight."""
     speed, rate = _find_speeds(wheels, path)
-    driving = (np.abs(speed) > DRIVING_MPS) & (np.abs(rate) < CURVED_PER_M * np.abs(speed))
+    driving = (np.abs(speed) > DRIVING_MPS) & (np.abs(rate) < ARC_CURVATURE_PER_M * np.abs(speed))
     usual = float(np.median(rate[driving] / speed[driving])) if driving.any() else 0.0
-    return Path(path.travelled_m, path.yaw - np.clip(usual, -USUAL_PER_M, USUAL_PER_M) * path.travelled_m)
+    return Path(
+        path.travelled_m,
+        path.yaw - np.clip(usual, -MAX_USUAL_CURVATURE_PER_M, MAX_USUAL_CURVATURE_PER_M) * path.travelled_m,
+    )
 
 
 def _find_speeds(wheels: Wheels, path: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -82,7 +85,11 @@ def _find_speeds(wheels: Wheels, path: Path) -> tuple[np.ndarray, np.ndarray]:
 def _judge(wheels: Wheels, path: Path, track_m: float) -> np.ndarray:
     """Number of the kind in each interval (n - 1,)."""
     speed, rate = _find_speeds(wheels, path)
-    curved = CURVED_PER_M * np.abs(speed) + CURVED_RADPS + DEVIATIONS * _measure_noise(wheels.time_s, rate, speed)
+    curved = (
+        ARC_CURVATURE_PER_M * np.abs(speed)
+        + MIN_ARC_RATE_RADPS
+        + MAX_DEVIATIONS * _measure_noise(wheels.time_s, rate, speed)
+    )
     rim = np.abs(rate) * track_m / 2
     return np.select(
         [
@@ -121,7 +128,7 @@ def _divide_bent(motion: Motion, path: Path) -> list[Motion]:
         return [motion]
     pieces, first = [], motion.first
     while first < motion.last:
-        bent = np.abs(path.yaw[first : motion.last + 1] - path.yaw[first]) > BENT_RAD
+        bent = np.abs(path.yaw[first : motion.last + 1] - path.yaw[first]) > MAX_BEND_RAD
         last = first + int(np.argmax(bent)) if bent.any() else motion.last
         pieces.append(Motion("straight", first, max(last, first + 1)))
         first = pieces[-1].last
@@ -135,7 +142,7 @@ def _join(motions: list[Motion], path: Path) -> list[Motion]:
         joined.append(motion)
         while (shorter := _absorb(joined, path)) is not None:
             joined = shorter
-    return _leave_out_short(joined, "straight", SHORTEST_M, path)
+    return _leave_out_short(joined, "straight", MIN_SEGMENT_M, path)
 
 
 def _leave_out_short(motions: list[Motion], kind: Kind, least_m: float, path: Path) -> list[Motion]:
@@ -154,7 +161,7 @@ def _absorb(motions: list[Motion], path: Path) -> list[Motion] | None:
             return [*motions[:-2], Motion("straight", before.first, last.last)]
         if before.kind == "arc" and last.kind == "straight" and _is_slight(before, path):
             return [*motions[:-2], Motion("straight", before.first, last.last)]
-        short = min(path.find_way(before), path.find_way(last)) < SHORTEST_M
+        short = min(path.find_way(before), path.find_way(last)) < MIN_SEGMENT_M
         if before.kind == last.kind == "straight" and short and _is_one_line(before, last, path):
             return [*motions[:-2], Motion("straight", before.first, last.last)]
     if len(motions) >= 3:
@@ -173,4 +180,4 @@ def _is_slight(motion: Motion, path: Path) -> bool:
 
 def _is_one_line(one: Motion, other: Motion, path: Path) -> bool:
     """Whether two straight drives together are one."""
-    return abs(path.yaw[other.last] - path.yaw[one.first]) < BENT_RAD
+    return abs(path.yaw[other.last] - path.yaw[one.first]) < MAX_BEND_RAD

@@ -17,7 +17,7 @@ from rosbags.typesys.store import Typestore
 from sim.errors import InputError, WorkError, one_line, shorten
 
 HEADER = "std_msgs/msg/Header"
-FOREIGN = ("jsonschema", "protobuf", "flatbuffer", "ros1msg")
+FOREIGN_ENCODINGS = ("jsonschema", "protobuf", "flatbuffer", "ros1msg")
 """Encodings of MCAP that `rosbags` does not know; it raises them as a missing key."""
 
 
@@ -54,7 +54,7 @@ def explained(path: Path) -> Iterator[None]:
         raise
     except Exception as error:
         why = one_line(error) or type(error).__name__
-        if isinstance(error, KeyError) and (encoding := why.strip("'")) in FOREIGN:
+        if isinstance(error, KeyError) and (encoding := why.strip("'")) in FOREIGN_ENCODINGS:
             why = f"it has a channel in {encoding}, and only messages of ROS 2 are read; write the log without it"
         raise InputError(f"{shorten(str(path), 300)} cannot be read as a log: {why}") from None
 
@@ -79,7 +79,7 @@ def read_stamp(store: Typestore, kind: str, data: bytes, ros1: bool = False) -> 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 BAG_MAGIC = b"#ROSBAG V2.0\n"
 MCAP_SCHEMA, MCAP_CHANNEL, MCAP_MESSAGE, MCAP_CHUNK = 3, 4, 5, 6
-LARGEST_RECORD = 2**31
+MAX_RECORD_BYTES = 2**31
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
@@ -186,7 +186,7 @@ def walk_mcap(file: Path) -> Found:
         stream.seek(len(MCAP_MAGIC))
         while len(head := stream.read(9)) == 9:
             code, size = struct.unpack("<BQ", head)
-            if size > LARGEST_RECORD or len(body := stream.read(size)) < size:
+            if size > MAX_RECORD_BYTES or len(body := stream.read(size)) < size:
                 return
             yield from read_record(code, body)
 
@@ -247,7 +247,7 @@ def _read_bag_record(stream: IO[bytes]) -> tuple[Header, bytes] | None:
     parts = []
     for _ in range(2):
         size = stream.read(4)
-        if len(size) < 4 or (length := struct.unpack("<I", size)[0]) > LARGEST_RECORD:
+        if len(size) < 4 or (length := struct.unpack("<I", size)[0]) > MAX_RECORD_BYTES:
             return None
         parts.append(stream.read(length))
         if len(parts[-1]) < length:

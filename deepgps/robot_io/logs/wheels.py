@@ -12,25 +12,25 @@ import numpy as np
 from deepgps.data.segments import find_stretches
 from sim.errors import InputError
 
-COARSE = 0.125  # Smallest step of an angle over its usual step between two messages, from which its encoder is coarse
-SMALLEST = 1.0  # Percentile of the steps that counts as the smallest; smaller ones may be repairs
+COARSE_STEP_RATIO = 0.125  # An encoder is coarse from this smallest step of its angle over the usual one
+MIN_STEP_PERCENTILE = 1.0  # Percentile of the steps that counts as the smallest; smaller ones may be repairs
 WAIT_S, SETTLE_S = 0.3, 0.15
 """Time between two counts after which the wheel may have rested between them, and the time in which it comes to rest
 after a count, or begins to turn before the next one [s]."""
-COARSEST = 12  # Ticks per revolution below which turns in place are not found reliably; 16 were enough in tests
+MIN_TICKS_PER_REV = 12  # Below it, turns in place are not found reliably; 16 were enough in tests
 GAP_S = 0.3  # Longest time between two messages across which angles are interpolated while the robot moves [s]
-LOST_S = 1.0
+MAX_SILENCE_S = 1.0
 """Time without a message after which the way is unknown, if the robot moved: a counter may have restarted [s]."""
 PAUSE_S = 5.0
 """Time without a message of the wheels or an image after which the robot may have been carried elsewhere [s]."""
-STILL_RAD = 0.05  # Angle up to which a wheel has not moved in a gap [rad]
-FASTER = 3.0  # A step is a jump if the wheel would have been faster than this multiple of its usual top speed
-SLOWEST_RADPS = 1.0  # Least top speed that is assumed [rad/s]
-MANY = 0.02  # Share of jumps from which another program is assumed to publish the same joints
-MOST_BACK = 8  # Messages in a row after each of which a wheel turns back: no robot moves so
-BACK_AND_FORTH = 0.1  # The same share of messages of which one wheel jumps there and back
-LEAST = 20  # Fewest messages of wheels that a drive has
-MOST_NOTES = 5  # Notes of one kind
+REST_RAD = 0.05  # Angle up to which a wheel has not moved in a gap [rad]
+JUMP_SPEED_RATIO = 3.0  # A step is a jump if the wheel would have been faster than this multiple of its usual top speed
+MIN_TOP_SPEED_RADPS = 1.0  # Least top speed that is assumed [rad/s]
+MAX_JUMP_SHARE = 0.02  # Share of jumps from which another program is assumed to publish the same joints
+MAX_REVERSALS = 8  # Messages in a row after each of which a wheel turns back: no robot moves so
+REVERSAL_SHARE = 0.1  # The same share of messages of which one wheel jumps there and back
+MIN_MESSAGES = 20  # Fewest messages of wheels that a drive has
+MAX_NOTES = 5  # Notes of one kind
 
 
 @dataclass(frozen=True)
@@ -76,8 +76,8 @@ def clean_wheels(
         InputError: There are too few messages, or the angles jump back and forth.
     """
     time_s, angle = _join_wheels(time_s, angle, ticks_per_rev)
-    if len(time_s) < LEAST:
-        raise InputError(f"{topic} has {len(time_s)} messages with both wheels; a drive has at least {LEAST}")
+    if len(time_s) < MIN_MESSAGES:
+        raise InputError(f"{topic} has {len(time_s)} messages with both wheels; a drive has at least {MIN_MESSAGES}")
     notes = []
     _refuse_back_and_forth(time_s, angle, topic)
     angle, full, wrapped = _unwrap(angle, ticks_per_rev)
@@ -87,7 +87,7 @@ def clean_wheels(
     back = np.abs(angle[2:] - angle[:-2]) < np.abs(angle[1:-1] - angle[:-2])
     spike = jumps[:-1] & jumps[1:] & back.any(axis=1)
     first = time_s[np.argmax(jumps)]
-    if jumps.sum() > max(MANY * len(time_s), 4):
+    if jumps.sum() > max(MAX_JUMP_SHARE * len(time_s), 4):
         raise _jumping(topic, first)
     if spike.any():
         kept = np.append(np.insert(~spike, 0, True), True)
@@ -111,9 +111,9 @@ def clean_wheels(
 def _note(topic: str, time_s: np.ndarray, rows: np.ndarray, what: str) -> list[str]:
     """What happened between some messages (r,) and the next ones, for the first of them; its seconds are filled in."""
     notes = [
-        f"{topic} at {time_s[row]:.2f} s: {what.format(time_s[row + 1] - time_s[row])}" for row in rows[:MOST_NOTES]
+        f"{topic} at {time_s[row]:.2f} s: {what.format(time_s[row + 1] - time_s[row])}" for row in rows[:MAX_NOTES]
     ]
-    more = len(rows) - MOST_NOTES
+    more = len(rows) - MAX_NOTES
     return [*notes, f"{topic}: the same at {more} other times"] if more > 0 else notes
 
 
@@ -129,14 +129,14 @@ def _find_gaps(
         image_s: Times of images [s]; None: unknown.
     """
     seconds, step = np.diff(time_s), np.abs(np.diff(angle, axis=0))
-    moved = (seconds > GAP_S) & (step.max(axis=1) > STILL_RAD)
+    moved = (seconds > GAP_S) & (step.max(axis=1) > REST_RAD)
     paused = np.zeros(len(seconds), bool)
     if image_s is not None:
         all_s = np.sort(np.concatenate([time_s, image_s[(image_s > time_s[0]) & (image_s < time_s[-1])]]))
         begins = all_s[:-1][np.diff(all_s) > PAUSE_S]
         paused[np.searchsorted(time_s, begins, side="right") - 1] = True
     ambiguous = (seconds[:, None] * _find_top_speed(time_s, angle) > full / 2).any(axis=1)
-    lost = moved & (ambiguous | (seconds > LOST_S)) & ~paused
+    lost = moved & (ambiguous | (seconds > MAX_SILENCE_S)) & ~paused
     return moved & ~lost & ~paused, lost, paused
 
 
@@ -145,12 +145,12 @@ def _refuse_back_and_forth(time_s: np.ndarray, angle: np.ndarray, topic: str) ->
     step = np.diff(angle, axis=0)
     size = np.abs(step)
     low, high = np.minimum(size[1:], size[:-1]), np.maximum(size[1:], size[:-1])
-    turned = (step[1:] * step[:-1] < 0) & (low > STILL_RAD) & (low > high / 2)
+    turned = (step[1:] * step[:-1] < 0) & (low > REST_RAD) & (low > high / 2)
     back = np.asarray(turned.any(axis=1))
-    if back.mean() > BACK_AND_FORTH:
+    if back.mean() > REVERSAL_SHARE:
         raise _jumping(topic, float(time_s[np.argmax(back)]))
     for first, last in find_stretches(back).tolist():
-        if last - first >= MOST_BACK:
+        if last - first >= MAX_REVERSALS:
             raise _jumping(topic, float(time_s[first]))
 
 
@@ -185,13 +185,13 @@ def _join_wheels(time_s: np.ndarray, angle: np.ndarray, ticks_per_rev: int) -> t
 def _find_jumps(time_s: np.ndarray, angle: np.ndarray) -> np.ndarray:
     """Mask (n - 1,) of the steps in which a wheel would have been too fast."""
     step, seconds = np.abs(np.diff(angle, axis=0)), _find_seconds(time_s)
-    return np.asarray((step > FASTER * _find_top_speed(time_s, angle) * seconds + STILL_RAD).any(axis=1))
+    return np.asarray((step > JUMP_SPEED_RATIO * _find_top_speed(time_s, angle) * seconds + REST_RAD).any(axis=1))
 
 
 def _find_top_speed(time_s: np.ndarray, angle: np.ndarray) -> float:
     """Usual top speed of the wheels where they turn [rad/s]."""
     speed = np.abs(np.diff(angle, axis=0)) / _find_seconds(time_s)
-    return max(_find_usual_top(speed[_is_turning(time_s, angle)]), SLOWEST_RADPS)
+    return max(_find_usual_top(speed[_is_turning(time_s, angle)]), MIN_TOP_SPEED_RADPS)
 
 
 def _find_seconds(time_s: np.ndarray) -> np.ndarray:
@@ -205,7 +205,7 @@ def _is_turning(time_s: np.ndarray, angle: np.ndarray) -> np.ndarray:
     middle = (time_s[1:] + time_s[:-1]) / 2
     before = np.searchsorted(time_s, middle - 0.5).clip(0, len(time_s) - 1)
     after = (np.searchsorted(time_s, middle + 0.5, side="right") - 1).clip(0)
-    return np.abs(angle[after] - angle[before]) > STILL_RAD
+    return np.abs(angle[after] - angle[before]) > REST_RAD
 
 
 def _find_usual_top(size: np.ndarray) -> float:
@@ -226,7 +226,7 @@ def _unwrap(angle: np.ndarray, ticks_per_rev: int) -> tuple[np.ndarray, np.ndarr
         turns = np.rint(step / full)
         short = step - turns * full
         usual = np.array([_find_usual_top(one) for one in np.abs(short).T])
-        small = np.minimum(FASTER * usual + STILL_RAD, full / 4)  # beyond, another program or a restart
+        small = np.minimum(JUMP_SPEED_RATIO * usual + REST_RAD, full / 4)  # beyond, another program or a restart
         fits = (np.ptp(angle, axis=0) <= full * 1.001) & (turns != 0) & (np.abs(short) < small)
         step = np.where(fits, short, step)
         wraps = np.where(fits.any(axis=0), np.minimum(wraps, full), wraps)
@@ -245,7 +245,7 @@ def fill_counts(wheels: Wheels, topic: str) -> Wheels:
     angle = [_fill(wheels.time_s, one) if has else one for one, has in zip(wheels.angle.T, coarse, strict=True)]
     ticks = [2 * np.pi / _find_tick(one) for one, has in zip(wheels.angle.T, coarse, strict=True) if has]
     notes = list(wheels.notes)
-    if ticks and (least := min(ticks)) < COARSEST:
+    if ticks and (least := min(ticks)) < MIN_TICKS_PER_REV:
         notes.append(f"{topic}: an encoder counts {least:.0f} ticks a turn of its wheel: turns in place may be missed")
     return replace(wheels, angle=np.column_stack(angle), notes=tuple(notes))
 
@@ -253,13 +253,13 @@ def fill_counts(wheels: Wheels, topic: str) -> Wheels:
 def is_coarse(angle: np.ndarray) -> bool:
     """Whether angles (n,) [rad] change by few counts of the encoder between two messages."""
     step = np.abs(np.diff(angle))
-    return bool(step.any()) and _find_tick(angle) > COARSE * float(np.median(step[step > 0.0]))
+    return bool(step.any()) and _find_tick(angle) > COARSE_STEP_RATIO * float(np.median(step[step > 0.0]))
 
 
 def _find_tick(angle: np.ndarray) -> float:
     """The smallest step of angles (n,) [rad], but for repairs."""
     step = np.abs(np.diff(angle))
-    return float(np.percentile(step[step > 0.0], SMALLEST))
+    return float(np.percentile(step[step > 0.0], MIN_STEP_PERCENTILE))
 
 
 def _fill(time_s: np.ndarray, angle: np.ndarray) -> np.ndarray:

@@ -19,9 +19,9 @@ log = logging.getLogger(__name__)
 Failures = dict[str, str]  # Reasons why runs failed, by the hash of the run
 Tell = Callable[[int], None]  # Called with how much of a task is done
 PERIOD_S = 0.2  # Time between two looks at the progress of the workers [s]
-NOT_BEGUN = -1
-KILLED = "its process was killed, perhaps for lack of memory"
-_SHARED: list[MutableSequence[int]] = []
+NO_PROGRESS = -1
+KILL_NOTE = "its process was killed, perhaps for lack of memory"
+_SHARED_PROGRESS: list[MutableSequence[int]] = []
 """In a worker process, which an initializer can reach in no other way: how much of each task is done."""
 
 
@@ -45,7 +45,7 @@ def do_all(tasks: Mapping[str, Task], most: int, progress: Tell) -> Failures:
     WorkError if no worker process can be started.
     """
     names, results = list(tasks), dict[str, str | None]()
-    done = WORKERS.RawArray("q", [NOT_BEGUN] * len(names))
+    done = WORKERS.RawArray("q", [NO_PROGRESS] * len(names))
 
     def do_some(some: Sequence[str], most: int) -> None:
         """Do these tasks; ends early if a process dies."""
@@ -61,14 +61,14 @@ def do_all(tasks: Mapping[str, Task], most: int, progress: Tell) -> Failures:
         try:
             do_some(left, most)
         except BrokenProcessPool:
-            begun = [name for name in left if name not in results and done[names.index(name)] != NOT_BEGUN]
+            begun = [name for name in left if name not in results and done[names.index(name)] != NO_PROGRESS]
             if not begun:
                 raise WorkError("no worker process can be started here") from None
             for name in begun:  # alone, it shows whose process it was
                 try:
                     do_some([name], 1)
                 except BrokenProcessPool:
-                    results[name] = KILLED
+                    results[name] = KILL_NOTE
     return {name: reason for name, reason in results.items() if reason}
 
 
@@ -97,12 +97,12 @@ def _open_pool(most: int, done: MutableSequence[int]) -> Iterator[ProcessPoolExe
 
 
 def _begin(done: MutableSequence[int]) -> None:
-    _SHARED.append(done)
+    _SHARED_PROGRESS.append(done)
     open_streams()
     warn_plainly()
 
 
 def _do(task: Task, number: int) -> str | None:
-    (done,) = _SHARED
+    (done,) = _SHARED_PROGRESS
     done[number] = 0
     return attempt(partial(task, partial(done.__setitem__, number)))

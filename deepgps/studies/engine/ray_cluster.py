@@ -26,7 +26,7 @@ from sim.errors import InputError, one_line
 from sim.processes import END_SIGNALS, usable_cores
 
 RETRIES = 2  # How often to retry a run whose process or machine was lost; the run continues from its last checkpoint
-KNOCK_S = 5.0
+CONNECTION_S = 5.0
 ENVIRONMENT = {
     "RAY_USAGE_STATS_ENABLED": "0",
     "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",  # leaves the visible GPUs as they are, without a warning
@@ -108,4 +108,4 @@ def _run_all(ray: Any, plans: Sequence[Plan], folder: Path, progress: Report) ->
 def _knock(address: str) -> None:
     host, _, port = address.rpartition(":")
     if host and "/" not in host and port.isdigit():
-        socket.create_connection((host, int(port)), timeout=KNOCK_S).close()
+        socket.create_connection((host, int(port)), timeout=CONNECTION_S).close()

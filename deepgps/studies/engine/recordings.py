@@ -28,7 +28,7 @@ from sim.recording.derive import (
 )
 from sim.recording.format import is_whole
 
-PER_PROCESS = 1000  # Samples for which it pays to start one more process that drives
+SAMPLES_PER_PROCESS = 1000  # Samples for which it pays to start one more process that drives
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,7 @@ def collect_all(scenarios: Mapping[str, Scenario], bases: Mapping[str, Path], ho
 
 def count_drives(drives: int, samples: int) -> int:
     """Number of drives that it pays to collect at once."""
-    return max(1, min(usable_cores(), drives, 1 + samples // PER_PROCESS))
+    return max(1, min(usable_cores(), drives, 1 + samples // SAMPLES_PER_PROCESS))
 
 
 def _choose(scenario: Scenario, samples: int) -> Scenario:

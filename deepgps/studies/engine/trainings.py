@@ -24,14 +24,14 @@ from sim.recording.derive import UNLEARNED_PREFIXES
 from sim.recording.format import Recording, open_recording
 
 log = logging.getLogger(__name__)
-TRAINED = re.compile(f"{TRAINED_FILES}|{FEATURE_FILES}")  # Names of the files of a training or of features
+TRAINING_FILES = re.compile(f"{TRAINED_FILES}|{FEATURE_FILES}")  # Names of the files of a training or of features
 
 
 def take_trainings(scenario: Scenario, run: Path) -> None:
     """Link into a run the trainings that other runs of its study have finished on the same data."""
     for name, shared in _find(scenario, run):
         if not _is_whole(run / name) and _is_sound(shared):
-            remove_files(run / name, TRAINED)  # an interrupted training
+            remove_files(run / name, TRAINING_FILES)  # an interrupted training
             _link_folder(shared, run / name, shared.parent)
 
 
@@ -76,19 +76,19 @@ def _is_sound(folder: Path) -> bool:
             read_training(folder)
     except InputError as error:
         log.warning("%s; it is trained again", error)
-        remove_files(folder, TRAINED)
+        remove_files(folder, TRAINING_FILES)
         return False
     return True
 
 
 def _link_folder(source: Path, target: Path, aside: Path) -> None:
     whole = aside / f"{target.name}.{secrets.randbelow(10**12)}{PART}"  # machines may share the folder
-    remove_files(whole, TRAINED)
-    for path in list_files(source, TRAINED):
+    remove_files(whole, TRAINING_FILES)
+    for path in list_files(source, TRAINING_FILES):
         link_file(path, whole / path.name)
     try:
         whole.rename(target)
     except OSError as error:
         if error.errno not in {errno.ENOTEMPTY, errno.EEXIST}:  # another run was first
             raise
-        remove_files(whole, TRAINED)
+        remove_files(whole, TRAINING_FILES)

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 from deepgps.config.methods import title_of
 from deepgps.config.scenario import Scenario
-from deepgps.studies.reports.record import ACCEPTED, ERRORS, GRID, RATIOS, Dots, StudyReport, Table, Target
+from deepgps.studies.reports.record import ACCEPTED_ERRORS, ERRORS, GRID, RATIOS, Dots, StudyReport, Table, Target
 from deepgps.studies.reports.render import add_base
 from deepgps.studies.table import Row, is_seed, read_setting
 from sim.sensors.camera.faults import FAULTS
@@ -32,7 +32,7 @@ TITLES = {
     "deployment.camera_mount.centre_px": "knocked, optical centre off by {:g} of 480 px",
 }
 LEANS = {"camera_mount.roll_deg": "tilted", "deployment.camera_mount.roll_deg": "knocked"}
-WHEN = {True: "deployment only", False: "training and deployment"}
+CHANGE_TIMES = {True: "deployment only", False: "training and deployment"}
 CAMERA_NOTE = (
     f"Means over seeds. {GRID}Base: the mean without faults. Changes between training and deployment do not appear in "
     "the training images. Test positions that moved furniture covers are left out. DeepGPS with compass sets the "
@@ -42,7 +42,7 @@ CAMERA_NOTE = (
 )
 LIGHT, VALUES, ROOM = "drive.mixed_light", "learn.features.values", "room.kind"
 LIGHTS = {False: "one light", True: "several lights"}
-WORST_OF = {
+WORST_FIGURES = {
     "light_0.5_ratio": ("all light x 0.5",),
     "light_0.2_ratio": ("all light x 0.2",),
     "lamps_0_ratio": ("lamps x 0",),
@@ -78,9 +78,9 @@ def name_faults(rows: Sequence[Row], varied: Sequence[str]) -> list[Row]:
         title = ", ".join(TITLES.get(name, f"{name} {{}}").format(row[name]) for name in faults) or NO_FAULT
         in_use = bool(faults) and all(name.startswith("deployment.") for name in faults)
         lean = f"{LEANS[faults[0]]}_{row[faults[0]]:g}" if len(faults) == 1 and faults[0] in LEANS else None
-        case = f"{title}, {WHEN[True]}" if in_use else title
-        named.append({**row, "fault": title, "in": WHEN[in_use], "case": case, "lean": lean})
-    named.sort(key=lambda row: row["in"] == WHEN[True])
+        case = f"{title}, {CHANGE_TIMES[True]}" if in_use else title
+        named.append({**row, "fault": title, "in": CHANGE_TIMES[in_use], "case": case, "lean": lean})
+    named.sort(key=lambda row: row["in"] == CHANGE_TIMES[True])
     return add_base(named, {"fault": NO_FAULT}, ["method"])
 
 
@@ -132,9 +132,9 @@ def _list_targets_of_camera() -> list[Target]:
     ours, compass = {"method": "deepgps"}, {"method": "deepgps_compass", "lean": lambda lean: lean is not None}
     targets = [Target("clean_rms_m", "RMS without faults", "rms_m", {**ours, "fault": NO_FAULT})]
     for key, in_use in (("both", False), ("deployment", True)):
-        faulty = {**ours, "in": WHEN[in_use], "fault": lambda fault: fault != NO_FAULT}
+        faulty = {**ours, "in": CHANGE_TIMES[in_use], "fault": lambda fault: fault != NO_FAULT}
         for of, word in (("rms_m", "RMS"), ("median_m", "median")):
-            title = f"{word} / without faults, worst fault in {WHEN[in_use]}"
+            title = f"{word} / without faults, worst fault in {CHANGE_TIMES[in_use]}"
             targets.append(Target(f"{key}_{word.lower()}_ratio", title, f"{of}/base", faulty, each="fault"))
     title = "{label}: median / without faults, {fault}"
     return [*targets, Target("compass_{lean}_ratio", title, "median_m/base", compass, each="fault", per="lean")]
@@ -147,7 +147,7 @@ def _list_targets_of_change() -> list[Target]:
     )
     return [
         Target(name, title, "median_m/base", {**ours, "change": changes}, each="change")
-        for name, changes in WORST_OF.items()
+        for name, changes in WORST_FIGURES.items()
     ]
 
 
@@ -183,7 +183,7 @@ REPORTS = {
         pictures={"camera": Dots("case", clean={"fault": NO_FAULT})},
     ),
     "change": StudyReport(
-        (Table("change method", f"runs {ERRORS} {RATIOS} {ACCEPTED}", section="training"),),
+        (Table("change method", f"runs {ERRORS} {RATIOS} {ACCEPTED_ERRORS}", section="training"),),
         CHANGE_NOTE,
         name_changes,
         targets=_list_targets_of_change(),

@@ -3,11 +3,11 @@
 from collections.abc import Sequence
 
 from deepgps.studies.reports.record import (
-    ACCEPTED,
+    ACCEPTED_ERRORS,
     CHOICES,
     ERRORS,
     GRID,
-    VARIED,
+    VARIED_SETTINGS,
     Curves,
     Dots,
     Fields,
@@ -19,8 +19,8 @@ from deepgps.studies.table import Row, choices, describe, mean, split_by, split_
 
 COMPARE = Table(
     f"{CHOICES} method",
-    f"runs samples distance_m {ERRORS} rms_m:max paper_rms_m paper_bound_m relative_rms {ACCEPTED} heading_spread_m "
-    "turn_spread_m folded fold_found train_s",
+    f"runs samples distance_m {ERRORS} rms_m:max paper_rms_m paper_bound_m relative_rms {ACCEPTED_ERRORS} "
+    "heading_spread_m turn_spread_m folded fold_found train_s",
 )
 NOTE = (
     f"Means over runs that differ only in their seeds. {GRID}Headings: RMS distance of the predictions at one position "
@@ -133,7 +133,7 @@ _CURVES = Curves(
     lines={"paper_bound_m": "paper: below this share of the side", "paper_rms_m": "paper's RMS"},
 )
 REPORTS = {
-    "plain": StudyReport((Table(f"{VARIED} method", f"{ERRORS} {ACCEPTED}"),)),
+    "plain": StudyReport((Table(f"{VARIED_SETTINGS} method", f"{ERRORS} {ACCEPTED_ERRORS}"),)),
     "compare": StudyReport((COMPARE,), NOTE, pictures=PICTURES),
     "networks": StudyReport(
         (COMPARE,),

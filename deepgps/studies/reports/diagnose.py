@@ -24,11 +24,11 @@ LIMITS: dict[str, tuple[float, float]] = {
 }
 """Smallest and largest strength in the study ``encoder``; errors may have either sign."""
 BOTH_RADII = ("encoder.radius_error_left", "encoder.radius_error_right")
-SHORTER = (10, 9, 8, 7, 6)  # Lengths of the recordings without faults, in tenths of the drive
-ALONE, PAIRS = 11, 2  # Recordings of each drive with one fault, and with two
+SHORTER_TENTHS = (10, 9, 8, 7, 6)  # Lengths of the recordings without faults, in tenths of the drive
+SINGLE_FAULT_DRIVES, FAULT_PAIR_DRIVES = 11, 2  # Recordings of each drive with one fault, and with two
 WHEEL = "robot.wheel_radius_error"
 FAULTS = ("radius", "wheel", "track", "slip", "step_noise", "ticks", "dropout", "stuck")
-ALIKE = "both radii alike"
+EQUAL_RADII = "both radii alike"
 QUANTITIES = {
     "track_m": ("track width [m]", ("track", "alike", "radius", "wheel")),
     "reading_ratio": ("readings, right over left", ("radius",)),
@@ -39,7 +39,7 @@ QUANTITIES = {
     "stuck_fraction": ("gaps with a stuck wheel", ("stuck",)),
 }
 """Quantities with an interval, in words, and the faults that change them; ticks are counted."""
-RELATIVE = ("track_m", "reading_ratio", "wheel_ratio")  # Quantities whose errors are relative
+RELATIVE_QUANTITIES = ("track_m", "reading_ratio", "wheel_ratio")  # Quantities whose errors are relative
 NOTE = (
     "Faults of one recording, alone: rows are what was set, columns what was diagnosed; a recording with two findings "
     "counts in two columns. A fault below the smallest size that its diagnosis states (ticks shorter than 2 mm) is not "
@@ -71,14 +71,14 @@ def draw_runs(common: Mapping[str, Any], drives: Sequence[tuple[int, Point]]) ->
             add({})
             add(_draw(rng, _choose(rng, 1)))
             continue
-        for tenths in SHORTER:
+        for tenths in SHORTER_TENTHS:
             add({"drive.samples": samples * tenths // 10})
-        for _ in range(len(SHORTER)):
+        for _ in range(len(SHORTER_TENTHS)):
             add(dict.fromkeys(BOTH_RADII, _draw(rng, BOTH_RADII[:1])[BOTH_RADII[0]]))
-        for _ in range(ALONE):
+        for _ in range(SINGLE_FAULT_DRIVES):
             add(_draw(rng, [list(LIMITS)[single % len(LIMITS)]]))
             single += 1
-        for _ in range(PAIRS):
+        for _ in range(FAULT_PAIR_DRIVES):
             add(_draw(rng, _choose(rng, 2)))
     return runs
 
@@ -178,7 +178,7 @@ def judge(rows: Sequence[Row], varied: Sequence[str]) -> list[Row]:
             **{
                 "kind": "recording",
                 "faults": len(made),
-                "set": {"": "none", "alike": ALIKE}.get(row["set"], row["set"]),
+                "set": {"": "none", "alike": EQUAL_RADII}.get(row["set"], row["set"]),
             },
             **{"found": ", ".join(found) or "none", "missed_or_wrong": ", ".join(wrong) or "-"},
             **{name: name in (found or ["none"]) for name in (*FAULTS, "none")},
@@ -200,12 +200,12 @@ def _judge_quantity(row: Row, name: str, made: Sequence[str]) -> Row:
         **{"kind": "quantity", "quantity": title, "value": value, "low": low, "high": high, "true": true},
         **{"interval_holds": holds, "held": "interval holds" if holds else "does not", "with_fault": is_off},
         "holds_with_fault": holds if is_off else None,
-        "error": abs(value - true) / (true if name in RELATIVE else 1.0),
+        "error": abs(value - true) / (true if name in RELATIVE_QUANTITIES else 1.0),
     }
 
 
 def _list_targets() -> list[Target]:
-    none, alike = {"kind": "recording", "faults": 0}, {"kind": "recording", "set": ALIKE}
+    none, alike = {"kind": "recording", "faults": 0}, {"kind": "recording", "set": EQUAL_RADII}
     must, made, finding, quantity = ({"kind": kind} for kind in ("must", "set", "finding", "quantity"))
     small, scale = (
         "the same with those too small to be detected, {count}",
@@ -226,7 +226,7 @@ def _list_targets() -> list[Target]:
     ]
 
 
-_ALONE = Table(
+_SINGLE_FAULTS = Table(
     "set",
     f"runs {' '.join(FAULTS)} none too_small",
     {"kind": "recording", "faults": (0, 1)},
@@ -244,7 +244,7 @@ _INTERVALS = Table(
     {"kind": "quantity"},
     title="Intervals and errors",
 )
-_FOUND = Scatter(
+_FINDINGS = Scatter(
     (("true", "value", ""),),
     "held",
     ("set", "found"),
@@ -256,11 +256,11 @@ _FOUND = Scatter(
 )
 REPORTS = {
     "diagnose": StudyReport(
-        (_ALONE, _PAIRS, _INTERVALS),
+        (_SINGLE_FAULTS, _PAIRS, _INTERVALS),
         NOTE,
         judge,
         targets=_list_targets(),
-        pictures={"diagnose": _FOUND},
+        pictures={"diagnose": _FINDINGS},
         draw_runs=draw_runs,
         gather=gather_diagnoses,
         fixes=("drive.samples",),

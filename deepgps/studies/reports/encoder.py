@@ -9,28 +9,28 @@ from sim.sensors.encoder import FAULTS
 from sim.settings import EncoderSettings, RobotSettings
 
 Names = tuple[str, ...]
-UNEQUAL_WHEELS = "robot.wheel_radius_error"
-PERFECT = {
+WHEEL_ERROR = "robot.wheel_radius_error"
+FAULTLESS_VALUES = {
     **{f"encoder.{name}": value for name, value in EncoderSettings().model_dump().items()},
-    UNEQUAL_WHEELS: RobotSettings().wheel_radius_error,
+    WHEEL_ERROR: RobotSettings().wheel_radius_error,
 }
 """Settings of encoders and wheels, and their values without faults."""
 TICKS, NOISE, SLIP = "encoder.ticks_per_rev", "encoder.step_noise", "encoder.slip_per_m"
-RADIUS, STUCK = "encoder.radius_error_left", "encoder.stuck_fraction"
+RADIUS, STUCK_FRACTION = "encoder.radius_error_left", "encoder.stuck_fraction"
 TITLES: dict[Names, str] = {
     (TICKS,): "ticks per revolution",
     (RADIUS,): "error of one wheel's radius",
     **{tuple(f"encoder.{name}" for name in fault.settings): fault.title for fault in FAULTS},
-    (UNEQUAL_WHEELS,): "left wheel larger by this part: the robot curves",
+    (WHEEL_ERROR,): "left wheel larger by this part: the robot curves",
 }
-NEAR_M = (0.02, 0.05)  # Errors that count as good enough, for two kinds of builders [m]
-PART = 0.8  # The part of the test positions whose errors must be good enough
+GOOD_M = (0.02, 0.05)  # Errors that count as good enough, for two kinds of builders [m]
+GOOD_SHARE = 0.8  # The part of the test positions whose errors must be good enough
 NOTE = (
-    f"The strongest fault at which at least {100 * PART:g} % of the test positions, each at its worst heading, are "
-    "still within this distance of the truth (mean over seeds) is enough. RMS is not the criterion, since it is "
+    f"The strongest fault at which at least {100 * GOOD_SHARE:g} % of the test positions, each at its worst heading, "
+    "are still within this distance of the truth (mean over seeds) is enough. RMS is not the criterion, since it is "
     "dominated by a few positions with large errors that no encoder can reduce.\n\n"
     "RMS in centimetres for the worst heading of each test position: mean, minimum and maximum over seeds. Near: share "
-    f"of the test positions with errors within {100 * NEAR_M[0]:g} cm. Aligned on training samples, never scaled. "
+    f"of the test positions with errors within {100 * GOOD_M[0]:g} cm. Aligned on training samples, never scaled. "
     "Segment: RMS error of the lengths of complete segments, measured and predicted by theory (rounding is uniform "
     "within a tick; the error from w grows with the root of the number of gaps, slip with the root of the distance "
     "travelled, a radius error in proportion to it; a stuck encoder halves the distance). The error that remains "
@@ -74,7 +74,7 @@ def find_sweeps(rows: Sequence[Row], varied: Sequence[str]) -> list[Row]:
             excess = None if row["scale"] is None else row["scale"] - 1.0
             sweeps.append({**row, "sweep": title, "map_too_large": excess})
         for method, group in split_by(grown if names in alone else (), "method").items():
-            for near in NEAR_M:
+            for near in GOOD_M:
                 strongest = find_strongest(near, group, TICKS in names)
                 borne.append({"sweep": title, "near": near, "method": method, "strongest": strongest})
     return [*borne, *sweeps]
@@ -84,26 +84,28 @@ def _grow_alone(names: Names, rows: Sequence[Row]) -> list[Row]:
     """Rows of a fault by its value; both radii grow together only where they are the same."""
     same = [row for row in rows if len({row[name] for name in names}) == 1]
     grown = sorted(same, key=lambda row: -row[TICKS] if TICKS in names else abs(row[names[0]]))
-    return [{**row, "pair": False, "value": row[names[0]], "enough": PART} for row in grown]
+    return [{**row, "pair": False, "value": row[names[0]], "enough": GOOD_SHARE} for row in grown]
 
 
 def _grow_pair(names: Names, rows: Sequence[Row]) -> list[Row]:
     """Rows of a pair of faults by both values, of those that the pair has together."""
-    asked = [{PERFECT[name], *(row[name] for row in rows if _list_changed(row) == names)} for name in names]
+    asked = [{FAULTLESS_VALUES[name], *(row[name] for row in rows if _list_changed(row) == names)} for name in names]
     rows = [row for row in rows if all(row[name] in known for name, known in zip(names, asked, strict=True))]
     grown = sorted(rows, key=lambda row: [row[name] for name in names])
     return [{**row, "pair": True, "value": ", ".join(f"{row[name]:g}" for name in names)} for row in grown]
 
 
 def _list_changed(row: Row) -> Names:
-    return tuple(sorted(name for name in varied_in(row) if name in PERFECT and row[name] != PERFECT[name]))
+    return tuple(
+        sorted(name for name in varied_in(row) if name in FAULTLESS_VALUES and row[name] != FAULTLESS_VALUES[name])
+    )
 
 
 def find_strongest(near_m: float, rows: Sequence[Row], fewer_is_worse: bool) -> str:
-    """The greatest strength of a sweep up to which ``PART`` of a method's positions stay within ``near_m`` [m]."""
+    """The strength of a sweep up to which ``GOOD_SHARE`` of a method's positions stay within ``near_m`` [m]."""
     groups, good = split_by(rows, "value"), []
     for value, group in groups.items():
-        if mean(group, name_near(near_m)) < PART:
+        if mean(group, name_near(near_m)) < GOOD_SHARE:
             break
         good.append(value)
     if not good:
@@ -119,7 +121,7 @@ def _list_targets() -> list[Target]:
 
     targets = []
     for method, prefix in (("deepgps", ""), ("deepgps_noise_aware", "aware_")):
-        title, perfect = title_of(method), select(method, TICKS, PERFECT[TICKS])
+        title, perfect = title_of(method), select(method, TICKS, FAULTLESS_VALUES[TICKS])
         at_noise = select(method, NOISE, 0.1)
         targets.append(Target(f"{prefix}rms_w", f"RMS at w = 0.10, {title}", "rms_m", at_noise))
         for ticks in (16, 4):
@@ -131,7 +133,7 @@ def _list_targets() -> list[Target]:
         ours, theirs = (select(name, setting, value) for name in (method, "deepgps"))
         words = f"{title}: RMS / {ignorant}'s, {TITLES[setting,]} {value:g}"
         targets.append(Target(f"compass_{key}", words, "rms_m", ours, theirs))
-    stuck, straight = select(method, STUCK, 0.5), select(method, UNEQUAL_WHEELS, 0.0)
+    stuck, straight = select(method, STUCK_FRACTION, 0.5), select(method, WHEEL_ERROR, 0.0)
     words = f"{title}: RMS, one encoder stuck for half of the drive"
     targets.append(Target("compass_stuck_rms_m", words, "rms_m", stuck))
     words = f"{title}: maps folded of {{count}}, one encoder stuck for half of the drive"
@@ -139,32 +141,32 @@ def _list_targets() -> list[Target]:
     for value in (0.01, 0.03):
         name, words = f"compass_curves_{100 * value:g}", f"left wheel larger by {100 * value:g} %"
         words = f"{title}: median / without faults, {words}"
-        curved = select(method, UNEQUAL_WHEELS, value)
+        curved = select(method, WHEEL_ERROR, value)
         targets.append(Target(name, words, "median_m", curved, straight))
     return targets
 
 
-_ALONE = {"pair": False}
+_SINGLE_FAULTS = {"pair": False}
 _ERRORS = Curves(
     "sweep",
     "value",
     also={"map_expected_rms_m": "expected by its map"},
     lines={"segment_expected_m": "one segment, theory", "segment_rms_m": "one segment, measured"},
     even=True,
-    where=_ALONE,
+    where=_SINGLE_FAULTS,
 )
-_NEAR = Curves(
+_GOOD_SHARES = Curves(
     "sweep",
     "value",
-    of=name_near(NEAR_M[0]),
-    unit=f"positions within {100 * NEAR_M[0]:g} cm [%]",
+    of=name_near(GOOD_M[0]),
+    unit=f"positions within {100 * GOOD_M[0]:g} cm [%]",
     lines={"enough": "good enough"},
     even=True,
-    where=_ALONE,
+    where=_SINGLE_FAULTS,
 )
 _SWEEPS = Table(
     "value method",
-    f"rms_m rms_m:min rms_m:max {name_near(NEAR_M[0])} segment_rms_m segment_expected_m map_too_large wrong_doubted "
+    f"rms_m rms_m:min rms_m:max {name_near(GOOD_M[0])} segment_rms_m segment_expected_m map_too_large wrong_doubted "
     "segments_wrong",
     {"near": None},
     section="sweep",
@@ -175,14 +177,14 @@ REPORTS = {
         (
             *(
                 Table("sweep", "", {"near": near}, None, _CHOICE.format(100 * near), across="method", each="strongest")
-                for near in NEAR_M
+                for near in GOOD_M
             ),
             _SWEEPS,
         ),
         NOTE,
         find_sweeps,
         targets=_list_targets(),
-        pictures={"encoder": _ERRORS, "near": _NEAR},
+        pictures={"encoder": _ERRORS, "near": _GOOD_SHARES},
         columns="from_runs:add_errors",
     ),
 }

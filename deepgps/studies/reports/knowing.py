@@ -33,26 +33,26 @@ from sim.files.checksums import read_arrays
 from sim.recording.format import Recording, open_recording
 from sim.recording.turns import KINDS, NO_IMAGE, Turns, from_array
 
-EXPECTED = {
+EXPECTED_CAUSES = {
     "light": ("deployment.light", "deployment.lamps", "deployment.exposure"),
     "furniture": ("deployment.moved_m",),
     "camera": ("deployment.camera_mount.roll_deg",),
 }
 """The cause that should be named, and the settings that bring it about."""
-LARGE_M = 0.1
-SEEN, FEWEST = 0.7, 10
+LARGE_ERROR_M = 0.1
+SEEN_SHARE, MIN_SEGMENTS = 0.7, 10
 """Share of the map that is learned for the drive that goes beyond it; with fewer segments it is left out."""
 Spoil = Callable[[np.ndarray], np.ndarray]
-THROUGH = 0.04  # Share of the light that a covered lens lets through from where it comes; the rest is scattered evenly
+TRANSMITTED_SHARE = 0.04  # Share of the light that a covered lens lets through; the rest is scattered evenly
 
 
 def cover(images: np.ndarray) -> np.ndarray:
     """Images (N, rings, sectors, 3) through a cover: half as bright, and nearly uniform."""
     mean = images.mean(axis=(1, 2), keepdims=True)
-    return np.rint((THROUGH * images + (1.0 - THROUGH) * mean) / 2.0).astype(np.uint8)
+    return np.rint((TRANSMITTED_SHARE * images + (1.0 - TRANSMITTED_SHARE) * mean) / 2.0).astype(np.uint8)
 
 
-SPOILT: Mapping[str, Spoil] = {
+SPOILS: Mapping[str, Spoil] = {
     "black": np.zeros_like,
     "white": lambda images: np.full_like(images, 255),
     "covered": cover,
@@ -93,7 +93,7 @@ def make_drive(
 def find_expected(row: Row) -> str:
     """The cause that should be named in a run's own drive; empty: none."""
     usual = {"deployment.exposure": "fixed", "deployment.moved_m": 0.0, "deployment.camera_mount.roll_deg": None}
-    for cause, names in EXPECTED.items():
+    for cause, names in EXPECTED_CAUSES.items():
         if any(name in row and row[name] != usual.get(name, 1.0) for name in names):
             return cause
     return ""
@@ -103,7 +103,7 @@ def measure_use(run: Path, row: Row) -> dict[str, float | None]:
     """What radii hold on the grid and in use, and the share of the errors in use above 10 cm that is refused."""
     method, arrays = row["method"], read_arrays(run / "use_field.npz")
     use = read_metrics(run)["methods"][method]["in_use"]
-    large = np.linalg.norm(arrays[method] - arrays["truth"][:, None], axis=-1) > LARGE_M
+    large = np.linalg.norm(arrays[method] - arrays["truth"][:, None], axis=-1) > LARGE_ERROR_M
     refused = ~arrays[f"accepted/{method}"][large]
     return {
         **{
@@ -121,14 +121,14 @@ def derive_drives(run: Path, method: str) -> Iterator[dict[str, Any]]:
     drive, monitor = open_drive_in_use(recording), make_monitor(load_positioner(folder_of(run, method)), recording)
     if drive is None or monitor is None:
         return
-    for cause, spoil in SPOILT.items():
+    for cause, spoil in SPOILS.items():
         yield describe(TITLES[cause], cause, monitor.name(spoil_drive(drive, spoil)))
     for other in find_other_rooms(run, recording):
         yield describe(TITLES["other_room"], "other_room", monitor.name(other))
     position = monitor.positioner.locate_camera(recording.observation)
-    part = keep_segments(recording, position[:, 0] < np.quantile(position[:, 0], SEEN))
+    part = keep_segments(recording, position[:, 0] < np.quantile(position[:, 0], SEEN_SHARE))
     learns = METHODS[method].reads_ticks  # others learn from labels, which are of all images
-    if learns and len(np.unique(part.reading[:, 0])) >= FEWEST:
+    if learns and len(np.unique(part.reading[:, 0])) >= MIN_SEGMENTS:
         scenario = open_run(run)
         with TemporaryDirectory() as folder:
             taught = fit_method(method, part, scenario.learn, training_seed(scenario), Path(folder) / method)

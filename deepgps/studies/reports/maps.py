@@ -12,7 +12,7 @@ from deepgps.studies.reports.record import (
     CHOICES,
     ERRORS,
     GRID,
-    VARIED,
+    VARIED_SETTINGS,
     Curves,
     Dots,
     Scatter,
@@ -20,14 +20,14 @@ from deepgps.studies.reports.record import (
     Table,
     Target,
 )
-from deepgps.studies.reports.render import FLIPPED
+from deepgps.studies.reports.render import FLIP_LIMIT
 from deepgps.studies.table import Row, choices, describe, is_seed, split_by
 
 MIRRORED_M2 = 0.1
 """A map is mirrored in part if the largest connected patch that it turns over has more than this area [m^2]."""
 NOISE, SLIP = "encoder.step_noise", "encoder.slip_per_m"
 SEEDS_NOTE = (
-    f"A map is folded if it flips more than {100 * FLIPPED:.0f} % of the test grid's neighbourhoods; said: how many "
+    f"A map is folded if it flips more than {100 * FLIP_LIMIT:.0f} % of the test grid's neighbourhoods; said: how many "
     "maps the detector reports as folded. Errors are medians over the maps."
 )
 MAPS_NOTE = (
@@ -49,7 +49,7 @@ CORRIDORS_NOTE = (
 SHAPE = "room.shape"
 EDGES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 1.0)
 """Edges of the bins of reach, as shares of the floor, into which positions are sorted."""
-LITTLE, BINS = 2, len(EDGES) - 1  # Number of leading bins that count as reaching little of the room, and of all bins
+SMALL_REACH_BINS, BINS = 2, len(EDGES) - 1  # Leading bins that reach little of the room, and all bins
 CONCAVE_NOTE = (
     "Reach: share of the accessible floor that the robot can reach from a position by one straight drive. Positions "
     "of all rooms are pooled; errors are for the worst heading. PoseNet learns from true positions, so errors that "
@@ -109,7 +109,7 @@ def pool_by_reach(rows: Sequence[Row], varied: Sequence[str]) -> list[Row]:
                 reach = f"{100 * low:.0f}-{100 * high:.0f} %"
                 where = {"kind": "reach", "reach": reach, "axis": 50 * (low + high), "method": method}
                 prepared.append({**where, **figures})
-        little, rest = pool(group, range(LITTLE)), pool(group, range(LITTLE, BINS))
+        little, rest = pool(group, range(SMALL_REACH_BINS)), pool(group, range(SMALL_REACH_BINS, BINS))
         shapes = {shape: find_rms(pool(some)) for shape, some in split_by(group, SHAPE).items()}
         both = {"two_rooms", "rectangle"} <= set(shapes)
         ratios = {
@@ -177,18 +177,18 @@ _ENCODERS = (
     Target("rms_m {encoder}", "RMS of the map, {encoder}", "map_rms_m:median", per="encoder"),
     Target("nees {encoder}", "NEES / 2, {encoder}", "map_nees:median", per="encoder"),
 )
-_COST, _SMALL = "{{label}}, RMS {} / {}", f"where reach is below {100 * EDGES[LITTLE]:.1f} %"
+_COST, _SMALL_REACH = "{{label}}, RMS {} / {}", f"where reach is below {100 * EDGES[SMALL_REACH_BINS]:.1f} %"
 _REACH = (
-    Target("{method}_little", _COST.format(_SMALL, "elsewhere"), "little", per="method"),
+    Target("{method}_little", _COST.format(_SMALL_REACH, "elsewhere"), "little", per="method"),
     Target("{method}_two_rooms", _COST.format("in two rooms", "in a rectangle"), "two_rooms", per="method"),
 )
-_DETECTED = Scatter(
+_DETECTION = Scatter(
     (("flipped", "length_error_fraction", "length errors"), ("flipped", "overlap_fraction", "overlap")),
     "start",
     ("flipped (truth) [%]", "detector [%]"),
-    limit=FLIPPED,
+    limit=FLIP_LIMIT,
 )
-_EXPECTED = Scatter(
+_EXPECTATION = Scatter(
     (("map_expected_rms_m", "map_rms_m", ""),),
     "encoder",
     ("expected RMS error [cm]", "RMS error [cm]"),
@@ -202,8 +202,10 @@ _BY_REACH = Curves(
     also={"median_m": "median"},
     where={"kind": "reach"},
 )
-_WORLDS = Table(f"{VARIED} method", "rms_m median_m rms_m/base median_m/base map_rms_m misplaced said turned seen")
-_WRONG = Table(
+_WORLDS = Table(
+    f"{VARIED_SETTINGS} method", "rms_m median_m rms_m/base median_m/base map_rms_m misplaced said turned seen"
+)
+_WRONG_MAPS = Table(
     f"{NOISE} method",
     "maps wrong said_folded said_turned said_undecided wrong_unsaid right_said_wrong",
     {"maps": True},
@@ -215,24 +217,24 @@ REPORTS = {
         SEEDS_NOTE,
         name_starts,
         targets=_list_targets_of_seeds(),
-        pictures={"seeds": _DETECTED},
+        pictures={"seeds": _DETECTION},
     ),
     "maps": StudyReport(
         (
             Table("encoder", f"runs map_rms_m map_rms_m:max {_MAP} mirrored", take="median"),
-            Table(VARIED, f"map_rms_m {_MAP} map_flipped_m2"),
+            Table(VARIED_SETTINGS, f"map_rms_m {_MAP} map_flipped_m2"),
         ),
         MAPS_NOTE,
         name_encoders,
         targets=_ENCODERS,
-        pictures={"maps": _EXPECTED},
+        pictures={"maps": _EXPECTATION},
     ),
     "corridors": StudyReport(
-        (_WORLDS, _WRONG),
+        (_WORLDS, _WRONG_MAPS),
         CORRIDORS_NOTE,
         judge_maps,
         targets=_list_targets_of_corridors(),
-        pictures={"corridors": Dots(VARIED, cross={"wrong": True})},
+        pictures={"corridors": Dots(VARIED_SETTINGS, cross={"wrong": True})},
     ),
     "concave": StudyReport(
         (COMPARE._replace(where={"kind": "run"}), Table("reach method", "positions rms_m median_m", {"kind": "reach"})),

@@ -29,8 +29,8 @@ from sim.geometry import FreeSpace
 from sim.recording.format import open_recording, open_truth
 
 POSITIONS = 1500  # Maximum number of grid positions for scaling
-PAIRED = 250  # Maximum number of positions among which all pairs are evaluated
-LARGEST = 10  # Number of eigenvalues that are kept
+MAX_PAIRED = 250  # Maximum number of positions among which all pairs are evaluated
+EIGENVALUES = 10  # Number of eigenvalues that are kept
 COLOURS = ("#0b62d6", "#1a936f", "#e07b00", "#c2255c", "#7a4fbf", "#4b5563")
 
 
@@ -76,7 +76,7 @@ def find_distances(run: Path, method: str) -> Distances:
     distance = squareform(pdist(out))
     scaled, eigenvalues, planar = scale_all(distance)
     own = out @ positioner.axes.double().numpy()
-    few = _spread(len(some), PAIRED)
+    few = _spread(len(some), MAX_PAIRED)
     first, second = (few[index] for index in np.triu_indices(len(few), 1))
     return Distances(
         truth=place,
@@ -100,7 +100,7 @@ def scale_all(distance: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     size, axes = (part[..., ::-1] for part in find_axes(distance))
     total = max(float(np.abs(size).sum()), 1e-300)
     place = axes[:, :2] * np.sqrt(size[:2].clip(min=0.0))
-    return place, size[:LARGEST], float(size[:2].sum()) / total
+    return place, size[:EIGENVALUES], float(size[:2].sum()) / total
 
 
 def are_joined(space: FreeSpace, first: np.ndarray, second: np.ndarray) -> np.ndarray:

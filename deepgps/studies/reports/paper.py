@@ -4,11 +4,11 @@ from collections.abc import Sequence
 
 from deepgps.config.methods import title_of
 from deepgps.studies.reports.record import (
-    ACCEPTED,
+    ACCEPTED_ERRORS,
     ERRORS,
     GRID,
     PAPERS_ERRORS,
-    VARIED,
+    VARIED_SETTINGS,
     Dots,
     Fields,
     StudyReport,
@@ -18,7 +18,7 @@ from deepgps.studies.reports.record import (
 from deepgps.studies.reports.render import add_base
 from deepgps.studies.table import LEVELS, Row, split_by, split_by_label
 
-OURS = ("deepgps_compass", "deepgps")  # Methods whose wins are counted, each over those that are not before it
+OUR_METHODS = ("deepgps_compass", "deepgps")  # Methods whose wins are counted, each over those that are not before it
 ROOMS_NOTE = (
     f"{GRID}Seen: share of positions within 0.25 m of a training image. Flipped: share of neighbourhoods that the map "
     "flips. Base: PoseNet."
@@ -82,7 +82,7 @@ def compare_with_posenet(rows: Sequence[Row], varied: Sequence[str]) -> list[Row
 def count_wins(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
     """A sentence for each of our methods and each baseline: in how many common rooms ours has the lower error."""
     methods, sentences = split_by(rows, "method"), []
-    for own in OURS:
+    for own in OUR_METHODS:
         ours = {row["recording"]: row for row in methods.pop(own, [])}
         for method, group in methods.items() if ours else ():
             pairs = [(ours[row["recording"]], row) for row in group if row["recording"] in ours]
@@ -149,7 +149,7 @@ def _name_errors(prefix: str = "") -> str:
 
 
 def _list_targets_of_rooms() -> list[Target]:
-    ours, per = {"method": OURS}, "method"
+    ours, per = {"method": OUR_METHODS}, "method"
     means = {"rms_m": "RMS", "median_m": "median", "p95_m": "p95", "max_m": "max"}
     medians = {"rms_accepted_m": "RMS of accepted", "max_accepted_m": "max of accepted"}
     held = {f"radius_{level}_holds": f"accepted images within their {level} % radius" for level in LEVELS}
@@ -168,19 +168,19 @@ def _list_targets_of_rooms() -> list[Target]:
 
 
 _ROOMS = Table(
-    f"{VARIED} method",
-    f"{ERRORS} {ACCEPTED} relative_rms seen flipped train_s rms_m/base",
+    f"{VARIED_SETTINGS} method",
+    f"{ERRORS} {ACCEPTED_ERRORS} relative_rms seen flipped train_s rms_m/base",
     summary="mean worst",
 )
-_OURS = {"method": "deepgps"}
-_TRAINING = Target("train_s", "training", "train_s", _OURS)
-_WORST = "PCA + nearest neighbour's, worst map"
+_OUR_METHOD = {"method": "deepgps"}
+_TRAINING = Target("train_s", "training", "train_s", _OUR_METHOD)
+_WORST_LABEL = "PCA + nearest neighbour's, worst map"
 _LIDAR = (
-    Target("rms_m", "RMS", "rms_m", _OURS),
-    Target("median_m", "median", "median_m", _OURS),
-    Target("rms_ratio", f"RMS / {_WORST}", "rms_m/base", _OURS, each="map"),
-    Target("median_ratio", f"median / {_WORST}", "median_m/base", _OURS, each="map"),
-    Target("stored_ratio", "stored by PCA / by DeepGPS", "stored_less", _OURS, each="map", at_least=True),
+    Target("rms_m", "RMS", "rms_m", _OUR_METHOD),
+    Target("median_m", "median", "median_m", _OUR_METHOD),
+    Target("rms_ratio", f"RMS / {_WORST_LABEL}", "rms_m/base", _OUR_METHOD, each="map"),
+    Target("median_ratio", f"median / {_WORST_LABEL}", "median_m/base", _OUR_METHOD, each="map"),
+    Target("stored_ratio", "stored by PCA / by DeepGPS", "stored_less", _OUR_METHOD, each="map", at_least=True),
     _TRAINING,
 )
 _LAB = (
@@ -194,14 +194,19 @@ _LAB = (
 _OF_LANDMARKS = f"runs {_name_errors()} rms_m:max train_s {_name_errors('paper_')}"
 _OF_LIDAR = f"{_name_errors()} {_name_errors('each_')} stored_million train_s {_name_errors('paper_')}"
 _OF_LAB = (
-    f"{_name_errors('label_')} {_name_errors()} {ACCEPTED} unlabelled test_unlabelled labels_rms_m train_s "
+    f"{_name_errors('label_')} {_name_errors()} {ACCEPTED_ERRORS} unlabelled test_unlabelled labels_rms_m train_s "
     f"{_name_errors('papers_')}"
 )
 _MARKS = tuple((title, f"label_{name}", name) for name, title in PAPERS_ERRORS.items())
 _FIGURE = "{method}_{observations}", "RMS, {observations}, {label}", "rms_m"
 REPORTS = {
     "rooms": StudyReport(
-        (_ROOMS,), ROOMS_NOTE, compare_with_posenet, count_wins, _list_targets_of_rooms(), {"rooms": Dots(VARIED)}
+        (_ROOMS,),
+        ROOMS_NOTE,
+        compare_with_posenet,
+        count_wins,
+        _list_targets_of_rooms(),
+        {"rooms": Dots(VARIED_SETTINGS)},
     ),
     "landmarks": StudyReport(
         (Table("observations method", _OF_LANDMARKS, length="mm"),),

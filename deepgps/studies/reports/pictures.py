@@ -18,7 +18,7 @@ from deepgps.studies.reports.record import Curves, Dots, Fields, Picture, Scatte
 from deepgps.studies.reports.render import pick, resolve, take
 from deepgps.studies.table import Row, choices, describe, find_methods, mean, split_by, split_by_label
 
-DECADE, MANY = 10.0, 1e5
+DECADE_RATIO, MAX_LOG_RATIO = 10.0, 1e5
 WIDTH = 0.6  # Part of a case's height over which the dots of its methods are spread
 POINT_COLOURS = ("#2a6f97", "#d1495b", "#e07b00", "#1a936f", "#7a4fbf", "#4b5563")
 LEGEND: Mapping[str, Any] = {"loc": "outside upper center", "frameon": False, "fontsize": 8}
@@ -205,7 +205,7 @@ def _scale_curves(axes: Axes, picture: Curves, places: Sequence[float], values: 
 def _count(axis: Axis) -> None:
     """Label a logarithmic axis with 1, 2, 5, 10, or with decades if it spans many."""
     low, high = axis.get_view_interval()
-    if high < MANY * low:
+    if high < MAX_LOG_RATIO * low:
         count_by_decades(axis)
     else:
         axis.set_major_formatter(ticker.FormatStrFormatter("%g"))
@@ -213,7 +213,7 @@ def _count(axis: Axis) -> None:
 
 
 def _spans_decade(values: Sequence[float]) -> bool:
-    return min(values) > 0 and max(values) / min(values) >= DECADE
+    return min(values) > 0 and max(values) / min(values) >= DECADE_RATIO
 
 
 def _label_cases(rows: Sequence[Row], by: str, varied: Sequence[str]) -> Callable[[Row], str]:

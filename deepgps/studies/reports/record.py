@@ -12,9 +12,9 @@ from deepgps.studies.table import Row
 
 Where = Mapping[str, Any]
 """Rows in which columns have these values: one, several as a tuple, or those for which a function holds."""
-VARIED, CHOICES = "*varied", "*choices"
+VARIED_SETTINGS, CHOICES = "*varied", "*choices"
 """In place of a column: all settings that vary in the study; the same without seeds, which only repeat runs."""
-EVERY: Where = {}
+EVERY_ROW: Where = {}
 
 
 class Table(NamedTuple):
@@ -27,7 +27,7 @@ class Table(NamedTuple):
 
     by: str  # Columns whose values make the lines, separated by spaces
     columns: str  # The other columns, separated by spaces
-    where: Where = EVERY  # The rows that it is made of
+    where: Where = EVERY_ROW  # The rows that it is made of
     section: str | None = None  # A column of which each value has a table of its own, with the value as its heading
     title: str | None = None  # Its heading, where it has no sections
     across: str | None = None  # A column whose values each have the columns ``each``, side by side
@@ -46,7 +46,7 @@ class Target(NamedTuple):
     name: str  # Its name in a study's ``target`` and ``paper``
     title: str  # What it measures
     of: str  # A column as in a table; what is taken is the mean, median, share, count, or ratio of the means of all
-    where: Where = EVERY  # The rows that it is measured on
+    where: Where = EVERY_ROW  # The rows that it is measured on
     base: Where | None = None  # Other rows, by whose mean the mean of these is divided
     each: str | None = None  # A column; the mean of the worst of its groups counts
     per: str = ""  # Columns of which each combination has a figure, separated by spaces
@@ -75,10 +75,10 @@ class Curves(NamedTuple):
     label: str | None = None  # What the axis is, in words or in a column of this name; None: the panel's name
     of: str = "rms_m"  # The values, drawn times 100
     unit: str = "error [cm]"  # Their unit
-    also: Mapping[str, str] = EVERY  # Other columns of the methods that have them, and their words
-    lines: Mapping[str, str] = EVERY  # Columns that all methods share, and what each of them is
+    also: Mapping[str, str] = EVERY_ROW  # Other columns of the methods that have them, and their words
+    lines: Mapping[str, str] = EVERY_ROW  # Columns that all methods share, and what each of them is
     even: bool = False  # Whether the values of the axis are evenly spaced
-    where: Where = EVERY  # The rows that are drawn
+    where: Where = EVERY_ROW  # The rows that are drawn
 
 
 class Scatter(NamedTuple):
@@ -93,7 +93,7 @@ class Scatter(NamedTuple):
     log: bool = False  # Whether both axes are logarithmic
     limit: float | None = None  # Where a vertical line is drawn
     factor: float = 100.0  # By which values are multiplied
-    where: Where = EVERY  # The rows that are drawn
+    where: Where = EVERY_ROW  # The rows that are drawn
 
 
 class Fields(NamedTuple):
@@ -134,6 +134,6 @@ class StudyReport:
 GRID = "Errors on the test grid, for the worst heading of each position; aligned on training samples, never scaled. "
 ERRORS = "rms_m median_m p95_m max_m"  # The errors that every report shows
 PAPERS_ERRORS = {"rms_m": "RMS", "median_m": "median", "max_m": "max"}  # The errors in the paper's tables, in words
-ACCEPTED = "rms_accepted_m max_accepted_m accepted"
+ACCEPTED_ERRORS = "rms_accepted_m max_accepted_m accepted"
 """The errors of what a method accepts, and the share of images that it accepts."""
 RATIOS = "rms_m/base median_m/base p95_m/base max_m/base"

@@ -9,7 +9,16 @@ import numpy as np
 from deepgps.config.methods import title_of
 from deepgps.reports.table import tabulate
 from deepgps.reports.targets import FORMS, Figure, mean_of, median_of, ratio_of, share_of, unit_of
-from deepgps.studies.reports.record import CHOICES, ERRORS, EVERY, VARIED, StudyReport, Table, Target, Where
+from deepgps.studies.reports.record import (
+    CHOICES,
+    ERRORS,
+    EVERY_ROW,
+    VARIED_SETTINGS,
+    StudyReport,
+    Table,
+    Target,
+    Where,
+)
 from deepgps.studies.table import Row, is_seed, shorten, split_by, split_by_label
 
 TAKES = {
@@ -17,7 +26,7 @@ TAKES = {
     "q90": lambda values: np.quantile(values, 0.9),
     "first": lambda values: values[0],
 }
-HIGH_IS_GOOD = {"seen", "accepted"}
+RISING_FIGURES = {"seen", "accepted"}
 HEADINGS = {
     **{"rms_m": "RMS", "p95_m": "p95", "samples": "images", "distance_m": "travel", "fold_found": "said"},
     **{"heading_spread_m": "headings", "turn_spread_m": "turned", "relative_rms": "RMS / side", "misplaced": "off"},
@@ -31,8 +40,8 @@ HEADINGS = {
 }
 """Headings of columns that are not their names."""
 WORDS = {"max": "most", "min": "least", "q90": "90 %"}
-DIGITS, SMALLEST = 3, 1e-4  # Significant digits of a cell; smaller numbers have an exponent
-FLIPPED = 0.1
+DIGITS, MIN_PLAIN = 3, 1e-4  # Significant digits of a cell; smaller numbers have an exponent
+FLIP_LIMIT = 0.1
 """Share of flipped neighbourhoods from which a map is folded. In maps of 8,000 images, 1 to 5 % of the neighbourhoods
 were flipped if the map was right, 21 to 47 % if it was folded."""
 ACCEPTED_NOTE = (
@@ -43,7 +52,7 @@ ACCEPTED_NOTE = (
 
 def prepare(report: StudyReport, rows: Sequence[Row], varied: Sequence[str]) -> list[Row]:
     """The rows that a report is made of: measured rows, with whether their map is folded according to the truth."""
-    rows = [{**row, "folded": None if row.get("flipped") is None else row["flipped"] > FLIPPED} for row in rows]
+    rows = [{**row, "folded": None if row.get("flipped") is None else row["flipped"] > FLIP_LIMIT} for row in rows]
     return report.prepare(rows, varied) if report.prepare else rows
 
 
@@ -119,7 +128,7 @@ def take(rows: Sequence[Row], column: str, default: str = "mean") -> Any:
         return None
     if not how and isinstance(values[0], bool | np.bool_):
         return int(np.sum(values))
-    if default == "max" and name in HIGH_IS_GOOD:
+    if default == "max" and name in RISING_FIGURES:
         default = "min"
     result = TAKES[how or ("first" if isinstance(values[0], str) else default)](values)
     is_whole = isinstance(values[0], int | np.integer) and float(result).is_integer()
@@ -127,8 +136,8 @@ def take(rows: Sequence[Row], column: str, default: str = "mean") -> Any:
 
 
 def resolve(names: str, varied: Sequence[str]) -> list[str]:
-    """Names of columns, with those that vary in place of ``VARIED`` and ``CHOICES``."""
-    stand_for = {VARIED: list(varied), CHOICES: [name for name in varied if not is_seed(name)]}
+    """Names of columns, with those that vary in place of ``VARIED_SETTINGS`` and ``CHOICES``."""
+    stand_for = {VARIED_SETTINGS: list(varied), CHOICES: [name for name in varied if not is_seed(name)]}
     return list(dict.fromkeys(one for name in names.split() for one in stand_for.get(name, [name])))
 
 
@@ -142,7 +151,7 @@ def write_value(value: Any, unit: str = "") -> str:
     number = float(f"{factor * value:.{DIGITS - 1}e}")
     if not number or not isfinite(number):
         return f"{number:g}"
-    if abs(number) < SMALLEST:
+    if abs(number) < MIN_PLAIN:
         return f"{number:.{DIGITS - 1}e}"
     return f"{number:.{max(0, DIGITS - 1 - floor(log10(abs(number))))}f}"
 
@@ -157,7 +166,7 @@ def _tabulate(table: Table, rows: Sequence[Row], varied: Sequence[str]) -> str:
         for method, group in split_by(rows, "method").items():
             first = [word, *[""] * (len(names) - 2), title_of(method)]
             lines.append((first, group, "max" if word == "worst" else word))
-    columns: list[tuple[str, str, Where]] = [("", column, EVERY) for column in table.columns.split()]
+    columns: list[tuple[str, str, Where]] = [("", column, EVERY_ROW) for column in table.columns.split()]
     if (across := table.across) is not None:
         for value in split_by([row for row in rows if across in row], across):
             head = f"{_write_key(across, value)}: "

@@ -24,7 +24,7 @@ from sim.errors import InputError
 from sim.files.atomic import write_bytes, write_text
 from sim.files.checksums import sha256
 
-SUMS = "SHA256SUMS"  # List of published files, in the format of sha256sum
+SUMS_FILE = "SHA256SUMS"  # List of published files, in the format of sha256sum
 
 
 def load(name: str) -> Callable[..., Any]:
@@ -84,7 +84,9 @@ def check_publish(target: Path) -> None:
     published = _read_sums(target)
     names = ["table.parquet", "table.md", *(f"figures/{name}.png" for name in PICTURES)]
     if foreign := {name for _, name in published}.difference(names):
-        raise InputError(f"--publish: {target / SUMS} lists {min(foreign)}, which is not a file that deepgps publishes")
+        raise InputError(
+            f"--publish: {target / SUMS_FILE} lists {min(foreign)}, which is not a file that deepgps publishes"
+        )
     for name in names:
         path = target / name
         if os.path.lexists(path) and (path.is_symlink() or (sha256(path), name) not in published):
@@ -92,12 +94,12 @@ def check_publish(target: Path) -> None:
 
 
 def _read_sums(target: Path) -> set[tuple[str, str]]:
-    lines = (target / SUMS).read_text(errors="replace").splitlines() if (target / SUMS).is_file() else []
+    lines = (target / SUMS_FILE).read_text(errors="replace").splitlines() if (target / SUMS_FILE).is_file() else []
     return {(digest, name) for digest, _, name in (line.partition("  ") for line in lines)}
 
 
 def _write_sums(target: Path, sums: Iterable[tuple[str, str]]) -> None:
-    write_text(target / SUMS, "".join(f"{digest}  {name}\n" for digest, name in sums))
+    write_text(target / SUMS_FILE, "".join(f"{digest}  {name}\n" for digest, name in sums))
 
 
 def write_report(study: Study, plans: Sequence[Plan], failures: Mapping[str, str], rows: Sequence[Row]) -> str:

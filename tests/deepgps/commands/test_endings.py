@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from deepgps.terminal.failures import FAULT, Fault, explain, working_in
+from deepgps.terminal.failures import FAULT_PREFIX, Fault, explain, working_in
 from deepgps.terminal.signals import Stopped
 from sim.errors import InputError, WorkError
 from tests.helpers.command import MINI, deepgps, drop_progress, wait_until
@@ -161,7 +161,7 @@ def test_a_fault_says_where_its_traceback_is_and_touches_no_file(tmp_path: Path,
     with pytest.raises(Fault) as caught, working_in(tmp_path):
         raise error
     code, kind, said = explain(caught.value, ["run", "tiny"])
-    (written,) = tmp_path.glob(f"{FAULT}*.txt")
+    (written,) = tmp_path.glob(f"{FAULT_PREFIX}*.txt")
     assert (code, kind) == (1, "failed") and str(written) in said and "\n" not in said
     text = written.read_text()
     assert "Traceback" in text and type(error).__name__ in text and "['run', 'tiny']" in text
@@ -172,6 +172,6 @@ def test_a_fault_without_a_folder_is_written_among_temporary_files(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    assert str(tmp_path / FAULT) in explain(fail(ZeroDivisionError("x")), ["run"])[2]
+    assert str(tmp_path / FAULT_PREFIX) in explain(fail(ZeroDivisionError("x")), ["run"])[2]
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "missing"))
     assert "its traceback is lost" in explain(fail(ZeroDivisionError("x")), ["run"])[2]

@@ -12,7 +12,7 @@ import pytest
 
 import deepgps
 from deepgps.robot_io.locate import find_shape
-from deepgps.robot_io.sources import LARGEST_BYTES, Unwrapper, open_pictures, read_stream
+from deepgps.robot_io.sources import MAX_BYTES, Unwrapper, open_pictures, read_stream
 from deepgps.viewer.pictures import make_warp, warp_round
 from sim.errors import InputError
 from sim.sensors.camera.unwrap import RoundImage, unwrap_fisheye
@@ -106,7 +106,7 @@ def test_an_image_is_answered_before_the_next_one_is_read():
     pictures = read_stream(Slow(frame(picture, picture)))
     assert next(pictures).image is not None
     assert read == [4, len(picture)]
-    for length in (0, LARGEST_BYTES + 1):
+    for length in (0, MAX_BYTES + 1):
         with pytest.raises(InputError, match=f"standard input: image 0 has a length of {length} bytes; must be 1 to"):
             next(read_stream(io.BytesIO(length.to_bytes(4, "big") + b"more")))
 

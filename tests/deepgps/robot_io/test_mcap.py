@@ -13,7 +13,13 @@ from rosbags.highlevel import AnyReader
 
 import deepgps
 from deepgps.positioner.pose import Poses
-from deepgps.robot_io.trajectories import UNKNOWN_M2, UNKNOWN_RAD2, Trajectory, find_variances, list_poses
+from deepgps.robot_io.trajectories import (
+    UNKNOWN_VARIANCE_M2,
+    UNKNOWN_VARIANCE_RAD2,
+    Trajectory,
+    find_variances,
+    list_poses,
+)
 from sim.recording.format import open_truth
 from sim.recording.manifest import Manifest
 from tests.helpers.command import deepgps_here
@@ -75,7 +81,10 @@ def test_poses_are_the_run_s_and_the_truth_is_beside_them(run, messages):
 
 def test_what_is_not_known_has_a_large_variance_and_refused_poses_a_topic_of_their_own():
     bare = Poses(np.zeros((2, 2)), yaw=np.array([np.nan, 1.0]), yaw_std=np.array([np.nan, 0.1]))
-    expected = [[UNKNOWN_M2, UNKNOWN_M2, UNKNOWN_RAD2], [UNKNOWN_M2, UNKNOWN_M2, 0.01]]
+    expected = [
+        [UNKNOWN_VARIANCE_M2, UNKNOWN_VARIANCE_M2, UNKNOWN_VARIANCE_RAD2],
+        [UNKNOWN_VARIANCE_M2, UNKNOWN_VARIANCE_M2, 0.01],
+    ]
     np.testing.assert_allclose(find_variances(bare), expected)
     circle = Poses(np.zeros((1, 2)), radius_68=np.array([2.0]), position_std=np.array([9.0]))
     drawn = np.sqrt(find_variances(circle)[0, 0]) * np.random.default_rng(0).standard_normal((100_000, 2))

@@ -14,7 +14,7 @@ from deepgps.commands.main import main
 from deepgps.config.scenario import Scenario, write_out
 from deepgps.runs import owned_folder
 from deepgps.runs.collect import collect
-from deepgps.runs.owned_folder import FRESH, MARK
+from deepgps.runs.owned_folder import FRESH_FOLDER, MARK
 from deepgps.runs.run_folder import RUN, claim, open_run
 from deepgps.runs.source import find_adopted, find_source, link_recording
 from sim.errors import DamagedError, InputError
@@ -105,7 +105,7 @@ def test_fresh_killed_anywhere_leaves_the_old_run_or_the_new_one(
         assert killed()
     found = remember(tmp_path)
     assert {found[name] for name in MINE} == {b"mine"}
-    if not (tmp_path / FRESH / owned_folder.COMPLETE).is_file():
+    if not (tmp_path / FRESH_FOLDER / owned_folder.COMPLETION_FILE).is_file():
         assert {found[name] for name in OURS} in ({b"old"}, {b"new"})
     with claim(SCENARIO, tmp_path, fresh=True) as place:  # the same command again
         if place != tmp_path:
@@ -142,7 +142,7 @@ def test_wrong_input_of_fresh_leaves_the_old_run_and_nothing_else(tmp_path: Path
     with pytest.raises(InputError), claim(OTHER, tmp_path, fresh=True):
         raise InputError
     assert remember(tmp_path) == before
-    assert not (tmp_path / FRESH).exists()
+    assert not (tmp_path / FRESH_FOLDER).exists()
 
 
 def test_another_scenario_is_refused_with_what_is_there(tmp_path: Path):

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from deepgps.config.scenario import Scenario, load_scenario
-from deepgps.runs.run_folder import WITHOUT_TRUTH, claim, default_folder, describe_work, list_runs
+from deepgps.runs.run_folder import TRUTHLESS_METRICS, claim, default_folder, describe_work, list_runs
 from deepgps.runs.run_table import list_differences, write_age
 from sim.files.checksums import write_json
 from tests.helpers.command import deepgps_here
@@ -45,7 +45,7 @@ def test_runs_are_listed_by_what_they_change(tmp_path: Path):
 
 def test_a_run_without_truth_is_listed_as_such_with_the_time_of_its_figures(tmp_path: Path):
     name = make_run(tmp_path, {}, age_s=90000)
-    write_json(tmp_path / "runs" / "tiny" / name / WITHOUT_TRUTH, {"methods": {}})
+    write_json(tmp_path / "runs" / "tiny" / name / TRUTHLESS_METRICS, {"methods": {}})
     done = deepgps_here("runs", cwd=tmp_path)
     line = done.stdout.splitlines()[1]
     assert [cell for cell in line.split("  ") if cell][1:3] == ["0 s", "no truth"]

@@ -8,7 +8,7 @@ import pytest
 
 from deepgps.positioner.pose import find_poses
 from deepgps.tracking import causes
-from deepgps.tracking.causes import FAULTY, TITLES, WINDOW, Causes, Monitor, Watch, make_monitor, name_causes
+from deepgps.tracking.causes import FAULTY_CAUSES, TITLES, WINDOW, Causes, Monitor, Watch, make_monitor, name_causes
 from sim.recording.format import Recording, open_recording
 from tests.helpers.drawn_room import HIGH, MOVED, Room, drive, train
 
@@ -155,7 +155,7 @@ def name(**held: bool) -> str:
     def tell(sign: str) -> np.ndarray:
         return np.array([held.get(sign, False)])
 
-    signs = {one: tell(one) for one in (*FAULTY, "accepted", "known_place", "relit")}
+    signs = {one: tell(one) for one in (*FAULTY_CAUSES, "accepted", "known_place", "relit")}
     around = np.array([0.6 * held.get("mostly_relit", False) + 0.3 * held.get("relit", False)])
     return str(causes.label(signs, around, tell("changed"), held.get("leaning", False), tell("other_room"))[0])
 
@@ -167,10 +167,10 @@ def test_the_first_rule_that_holds_names_the_cause():
     assert name(other_room=True) == "other_room"
     assert name(known_place=True, changed=True, leaning=True) == "camera"
     assert name(known_place=True, relit=True, accepted=True) == "light" == name(mostly_relit=True)
-    for fault in FAULTY:
+    for fault in FAULTY_CAUSES:
         assert name(**{fault: True}, accepted=True, known_place=True, relit=True) == fault
     assert name(covered=True, white=True) == "white" and name(covered=True, black=True) == "black"
-    assert set(FAULTY) < set(TITLES)
+    assert set(FAULTY_CAUSES) < set(TITLES)
 
 
 def test_a_long_stretch_is_of_another_room_and_a_short_one_is_not():
@@ -190,7 +190,7 @@ def test_shares_and_medians_are_those_of_the_images_around():
     found, values = rng.random(300) < 0.3, rng.random(300)
     share, median = causes.share_around(found), causes.median_around(values, found)
     for row in (0, 10, 150, 299):
-        some = slice(max(0, row - causes.AROUND), row + causes.AROUND + 1)
+        some = slice(max(0, row - causes.LIGHT_WINDOW), row + causes.LIGHT_WINDOW + 1)
         assert share[row] == pytest.approx(found[some].mean())
         assert median[row] == pytest.approx(np.median(values[some][found[some]]))
     assert np.isnan(causes.median_around(values, np.zeros(300, bool))).all()

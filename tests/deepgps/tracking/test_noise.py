@@ -3,7 +3,17 @@
 import numpy as np
 import pytest
 
-from deepgps.tracking.fix import FARTHEST_M, LEAST_M, Fix, Trail, add_image, begin_trail, break_off, extend, find_factor
+from deepgps.tracking.fix import (
+    MAX_COMPARISON_M,
+    TRAIL_SPACING_M,
+    Fix,
+    Trail,
+    add_image,
+    begin_trail,
+    break_off,
+    extend,
+    find_factor,
+)
 from deepgps.tracking.motion import make_motion
 
 STATED_M = 0.01
@@ -33,7 +43,7 @@ def test_errors_are_found_at_any_rate_of_images():
     for spacing_m in (0.0075, 0.08, 0.3):
         trail = drive(40.0, spacing_m, 5.0)
         assert find_factor(trail) == pytest.approx(5.0, rel=0.4)
-        assert len(trail.images) <= FARTHEST_M / LEAST_M + 2
+        assert len(trail.images) <= MAX_COMPARISON_M / TRAIL_SPACING_M + 2
 
 
 def test_images_that_err_as_stated_keep_their_errors():
@@ -46,7 +56,7 @@ def test_a_robot_that_stands_or_was_carried_compares_nothing():
     trail = drive(30.0, 0.08, 5.0)
     for _ in range(500):
         trail = add_image(extend(trail, make_motion(0.0), 1.0), Fix(np.zeros(2), STATED_M, NONE, NONE, NONE))
-    assert len(trail.images) <= FARTHEST_M / LEAST_M + 2
+    assert len(trail.images) <= MAX_COMPARISON_M / TRAIL_SPACING_M + 2
     carried = break_off(trail)
     assert not carried.images
     assert find_factor(carried) == find_factor(trail)

@@ -6,7 +6,7 @@ from scipy.optimize import least_squares
 
 from deepgps.tracking import fix
 from deepgps.tracking.filter import State, estimate, run_forward, smooth
-from deepgps.tracking.motion import SCALE_M, SCALE_STD
+from deepgps.tracking.motion import SCALE_DISTANCE_M, SCALE_STD
 from sim.geometry import wrap
 from tests.helpers.synthetic_drive import (
     PLACE_STD_M,
@@ -31,7 +31,7 @@ def measure_rms(found: np.ndarray, drive: Drive) -> float:
 def fit_all(drive: Drive) -> tuple[np.ndarray, np.ndarray]:
     """Poses (M, 3) and their covariances (M, 3, 3) by least squares over poses and scales at once."""
     count = len(drive.pose)
-    kept = np.exp(-SPACING_M / SCALE_M)
+    kept = np.exp(-SPACING_M / SCALE_DISTANCE_M)
     turn = np.array([one.turn for one in drive.motions[1:] if one])
     seen = np.array([[*one.position, *one.yaw] for one in drive.fixes])
 
@@ -54,7 +54,7 @@ def fit_all(drive: Drive) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.fixture
 def without_heavy_tails(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(fix, "FREEDOM", 1e12)
+    monkeypatch.setattr(fix, "DEGREES_OF_FREEDOM", 1e12)
 
 
 @pytest.mark.usefixtures("without_heavy_tails")

@@ -8,10 +8,10 @@ import pytest
 import rerun as rr
 
 from deepgps.initial_map.stored_map import FILE, StoredMap
-from deepgps.viewer.making import ELLIPSES, MAKING, SEEN_M, SIGMAS, enlarge, outline_ellipses
+from deepgps.viewer.making import MAP_ENTITY, MAX_ELLIPSES, MIN_HALF_AXIS_M, SIGMAS, enlarge, outline_ellipses
 from deepgps.viewer.read import read_entity
 from deepgps.viewer.run import RECORDING, write_run
-from deepgps.viewer.stream import MAKING as TIMELINE
+from deepgps.viewer.stream import MAP_STAGE as TIMELINE
 from sim.files.checksums import read_arrays, write_arrays
 from tests.helpers.blueprints import find_missing, read_layout
 from tests.helpers.synthetic_run import write_synthetic_run
@@ -58,7 +58,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def read_stages(run: Path, name: str) -> list[list]:
-    rows = read_entity(run / RECORDING, f"{MAKING}/{name}")
+    rows = read_entity(run / RECORDING, f"{MAP_ENTITY}/{name}")
     rows = rows.filter(pc.field(TIMELINE).is_valid()).sort_by(TIMELINE)
     return [one for one in rows["LineStrips3D:strips"].to_pylist() if one is not None]
 
@@ -78,7 +78,7 @@ def test_the_last_stage_is_where_the_robot_was_and_the_first_is_not(run: Path):
 
 
 def test_a_turn_has_its_angle_to_point_at(run: Path):
-    rows = read_entity(run / RECORDING, f"{MAKING}/turns")
+    rows = read_entity(run / RECORDING, f"{MAP_ENTITY}/turns")
     said = [text for texts in rows["turned"].to_pylist() if texts for text in texts]
     assert said and all("°" in text and "± 0.57°" in text for text in said)
 
@@ -102,8 +102,8 @@ def test_an_outline_is_so_many_standard_deviations_away():
 
 @pytest.mark.parametrize("std_m", [1e-5, 0.003, 0.02, 0.5])
 def test_ellipses_are_as_large_as_can_be_seen_and_never_smaller_than_they_are(std_m: float):
-    stored = make_map(np.zeros((ELLIPSES, 3)), np.random.default_rng(0))
-    larger = enlarge(StoredMap(**{**vars(stored), "covariance": np.tile(std_m**2 * np.eye(2), (ELLIPSES, 1, 1))}))
+    stored = make_map(np.zeros((MAX_ELLIPSES, 3)), np.random.default_rng(0))
+    larger = enlarge(StoredMap(**{**vars(stored), "covariance": np.tile(std_m**2 * np.eye(2), (MAX_ELLIPSES, 1, 1))}))
     assert larger >= 1.0
-    assert larger == 1.0 or larger * SIGMAS * std_m <= SEEN_M * 1.001
-    assert larger > 1000.0 or larger * SIGMAS * std_m > 0.39 * SEEN_M
+    assert larger == 1.0 or larger * SIGMAS * std_m <= MIN_HALF_AXIS_M * 1.001
+    assert larger > 1000.0 or larger * SIGMAS * std_m > 0.39 * MIN_HALF_AXIS_M

@@ -67,7 +67,7 @@ def changed(run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     for path in folder.glob("*/history.npz"):
         path.unlink()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(drive, "IMAGES_AT_MOST", 25)
+        patch.setattr(drive, "MAX_IMAGES", 25)
         write_run(folder)
     return folder
 

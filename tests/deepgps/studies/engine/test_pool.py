@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from deepgps.studies.engine.pool import KILLED, Tell, do_all
+from deepgps.studies.engine.pool import KILL_NOTE, Tell, do_all
 from sim.errors import WorkError
 
 
@@ -38,7 +38,7 @@ def test_each_task_is_done_or_named_with_its_reason_and_progress_is_the_sum(tmp_
     names = ("one", "killed", "wrong", "bug", "no", "other")
     failed = do_all({name: Work(name, tmp_path) for name in names}, 2, told.append)
     assert failed == {
-        **{"killed": KILLED, "wrong": "it did not want to"},
+        **{"killed": KILL_NOTE, "wrong": "it did not want to"},
         **{"bug": "KeyError: 'nowhere'", "no": "said no"},
     }
     assert {path.name for path in tmp_path.iterdir()} == {"one", "no", "other"}

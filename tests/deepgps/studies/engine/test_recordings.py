@@ -25,7 +25,7 @@ def plan(folder: Path, cases: Sequence[Mapping[str, object]], scenario: str = "m
 
 
 def at_once(monkeypatch: pytest.MonkeyPatch, cores: int) -> None:
-    monkeypatch.setattr(recordings, "PER_PROCESS", 10)
+    monkeypatch.setattr(recordings, "SAMPLES_PER_PROCESS", 10)
     monkeypatch.setattr(recordings, "usable_cores", lambda: cores)
 
 

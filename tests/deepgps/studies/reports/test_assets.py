@@ -53,7 +53,7 @@ def test_the_camera_study_draws_nothing_again_for_faults_of_finished_images() ->
 def test_each_change_is_trained_in_one_light_and_in_several_on_pixels_and_on_ranks() -> None:
     plans = plan("change")
     assert (len(plans), len({one.recording for one in plans})) == (11 * 2 * 2, 11 * 2)
-    titles = {title for titles in changes.WORST_OF.values() for title in titles}
+    titles = {title for titles in changes.WORST_FIGURES.values() for title in titles}
     names = sorted({name for one in plans for name in one.varied})
     usual = {"deployment.daylight": None, "deployment.exposure": "fixed", "deployment.moved_m": 0.0}
     usual |= {"deployment.person": False, "deployment.lamp_on": False}

@@ -11,8 +11,8 @@ from deepgps.studies.catalog import REPORTS
 from deepgps.studies.plan import plan_runs
 from deepgps.studies.reports.changes import DRIVES
 from deepgps.studies.reports.knowing import (
-    EXPECTED,
-    SPOILT,
+    EXPECTED_CAUSES,
+    SPOILS,
     add_drives,
     find_expected,
     keep_segments,
@@ -74,10 +74,10 @@ def test_methods_that_refuse_nothing_are_named(more: dict, tmp_path: Path):
 def test_every_fault_of_the_study_has_a_cause():
     plans = plan_runs(load_study("knowing", tiny=False))
     assert {name for plan in plans for name in plan.varied if name.startswith("deployment.")} == {
-        name for names in EXPECTED.values() for name in names
+        name for names in EXPECTED_CAUSES.values() for name in names
     }
-    assert {find_expected(dict(plan.varied)) for plan in plans} == {"", *EXPECTED}
-    assert set(SPOILT) | {*EXPECTED, "other_room", "new_place"} == set(TITLES)
+    assert {find_expected(dict(plan.varied)) for plan in plans} == {"", *EXPECTED_CAUSES}
+    assert set(SPOILS) | {*EXPECTED_CAUSES, "other_room", "new_place"} == set(TITLES)
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +86,7 @@ def recording(small_recording: Path) -> Recording:
 
 
 def test_spoilt_images_are_what_they_are_called(recording: Recording):
-    images = {name: spoil_drive(recording, spoil).observation for name, spoil in SPOILT.items()}
+    images = {name: spoil_drive(recording, spoil).observation for name, spoil in SPOILS.items()}
     assert (images["black"] == 0).all()
     assert (images["white"] == 255).all()
     assert (images["frozen"] == recording.observation[0]).all()

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from deepgps.studies.reports import report
-from deepgps.studies.reports.report import SUMS, publish
+from deepgps.studies.reports.report import SUMS_FILE, publish
 from deepgps.studies.study import Study, load_study
 from sim.errors import InputError
 from sim.files.atomic import write_bytes
@@ -27,7 +27,7 @@ def test_only_what_the_report_makes_is_published_with_its_checksums(study: Study
     publish(study, make_results(tmp_path / "out", "first"), tmp_path / "pages")
     names = {path.relative_to(tmp_path / "pages").as_posix() for path in (tmp_path / "pages").rglob("*.*")}
     assert names == {"table.parquet", "table.md", "figures/errors.png"}
-    assert len((tmp_path / "pages" / SUMS).read_text().splitlines()) == 3
+    assert len((tmp_path / "pages" / SUMS_FILE).read_text().splitlines()) == 3
 
 
 def test_interrupted_anywhere_it_can_be_repeated(study: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -48,7 +48,7 @@ def test_interrupted_anywhere_it_can_be_repeated(study: Study, tmp_path: Path, m
             publish(study, tmp_path / "out", pages)
     publish(study, tmp_path / "out", pages)
     assert (pages / "table.md").read_bytes() == (tmp_path / "out" / "table.md").read_bytes()
-    assert len((pages / SUMS).read_text().splitlines()) == 3
+    assert len((pages / SUMS_FILE).read_text().splitlines()) == 3
 
 
 def test_a_picture_that_is_no_longer_drawn_goes_and_a_user_s_stays(study: Study, tmp_path: Path):

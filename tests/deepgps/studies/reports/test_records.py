@@ -11,7 +11,7 @@ from deepgps.reports.plots import to_png
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.reports import changes, compare, encoder, maps, paper
 from deepgps.studies.reports.diagnose import QUANTITIES
-from deepgps.studies.reports.encoder import PERFECT, find_strongest, find_sweeps
+from deepgps.studies.reports.encoder import FAULTLESS_VALUES, find_strongest, find_sweeps
 from deepgps.studies.reports.pictures import draw
 from deepgps.studies.reports.render import prepare
 from deepgps.studies.reports.report import varied_names, write_report
@@ -293,7 +293,7 @@ def make_sweeps(rms: dict[tuple, float], shares: tuple[tuple[str, float], ...] =
     """Two seeds of the methods for each set of faults; each method has its share of the error."""
     rows = []
     for faults, error in rms.items():
-        settings = {name: dict(faults).get(name, PERFECT[name]) for name in NAMES}
+        settings = {name: dict(faults).get(name, FAULTLESS_VALUES[name]) for name in NAMES}
         for method, share in shares:
             for seed in (0, 1):
                 row = {"run": "r", "seed": seed, **settings, "samples": 100, "method": method, "scale": 1.0}
@@ -355,7 +355,7 @@ def test_the_page_says_which_encoder_is_enough() -> None:
 def test_what_its_map_expects_and_what_is_good_enough_are_drawn() -> None:
     rows = [{**row, "map_expected_rms_m": row["rms_m"] / 2 if row["method"] == "deepgps" else None} for row in SWEEPS]
     errors, near = (
-        draw(picture, find_sweeps(rows, []), [], Path()).axes[0] for picture in (encoder._ERRORS, encoder._NEAR)
+        draw(picture, find_sweeps(rows, []), [], Path()).axes[0] for picture in (encoder._ERRORS, encoder._GOOD_SHARES)
     )
     lines = {str(line.get_label()): np.asarray(line.get_ydata(), float) for line in errors.lines}
     np.testing.assert_allclose(lines["DeepGPS, expected by its map"], lines["DeepGPS"] / 2)

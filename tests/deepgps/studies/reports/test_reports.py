@@ -16,7 +16,7 @@ from deepgps.studies.catalog import REPORTS
 from deepgps.studies.engine.engine import carry_out
 from deepgps.studies.plan import plan_runs
 from deepgps.studies.reports.pictures import draw
-from deepgps.studies.reports.record import VARIED, Fields, StudyReport, Table, Target
+from deepgps.studies.reports.record import VARIED_SETTINGS, Fields, StudyReport, Table, Target
 from deepgps.studies.reports.render import add_base, measure, pick, prepare, take, write_table, write_value
 from deepgps.studies.reports.report import load, report_study, varied_names, write_report
 from deepgps.studies.study import Study, load_study
@@ -234,7 +234,7 @@ def test_cases_are_told_apart_by_the_fewest_names_in_words() -> None:
         "train.samples",
         "start",
     ]
-    (text,) = write_table(Table(VARIED, "runs"), [{"kind": None, "room.seed": 0.5}], ["kind", "room.seed"])
+    (text,) = write_table(Table(VARIED_SETTINGS, "runs"), [{"kind": None, "room.seed": 0.5}], ["kind", "room.seed"])
     assert read_cells(text) == [["-", "0.5", "1"]]
 
 
