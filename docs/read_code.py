@@ -12,6 +12,8 @@ from tokenize import COMMENT, generate_tokens
 
 Definition = ast.ClassDef | ast.FunctionDef
 NAME = re.compile(r"[a-z][a-z0-9_]*")
+Entry = tuple[str, str]
+"""A key, and what is said of it."""
 
 
 class Source:
@@ -24,19 +26,19 @@ class Source:
         self.comments = {
             token.start[0]: token.string.lstrip("# ")
             for token in generate_tokens(StringIO(text).readline)
-            if token.type == COMMENT and not token.string.startswith(("# noqa", "# type"))
+            if token.type == COMMENT and not token.string.startswith(("# noqa", "# type", "# pyright"))
         }
 
     def find(self, name: str) -> Definition:
-        """The class or function of a name."""
-        for node in self.tree.body:
-            if isinstance(node, Definition) and node.name == name:
-                return node
-        raise KeyError(name)
+        """The class, function or ``Class.method`` of a name."""
+        node: ast.Module | Definition = self.tree
+        for part in name.split("."):
+            node = next(one for one in node.body if isinstance(one, Definition) and one.name == part)
+        assert isinstance(node, Definition)
+        return node
 
-    def explain(self, node: ast.AST) -> str:
-        """The comment beside a node's first or last line, or that above it."""
-        first, last = node.lineno, node.end_lineno or node.lineno  # pyright: ignore[reportAttributeAccessIssue]
+    def explain(self, first: int, last: int) -> str:
+        """The comment beside the last or the first of some lines, or that above them."""
         for line in (last, first):
             if line in self.comments:
                 return self.comments[line]
@@ -45,50 +47,51 @@ class Source:
             above.insert(0, self.comments[first])
         return " ".join(above)
 
-    def list_fields(self, node: ast.ClassDef) -> Iterator[tuple[str, str]]:
-        """Fields of a class, each with what is said of it."""
+    def list_fields(self, node: ast.ClassDef) -> Iterator[Entry]:
+        """Fields of a class."""
         for one in node.body:
             if isinstance(one, ast.AnnAssign) and isinstance(one.target, ast.Name):
                 alias = re.search(r"alias='(\w+)'", ast.unparse(one))
-                yield (alias[1] if alias else one.target.id), self.explain(one)
+                yield (alias[1] if alias else one.target.id), self.explain(one.lineno, one.end_lineno or one.lineno)
 
-    def list_keys(self, node: ast.AST, prefix: str = "") -> Iterator[tuple[str, str]]:
-        """Keys of the dictionaries in a function, nested ones dotted, each with what is said of it."""
+    def list_keys(self, node: ast.AST, prefix: str = "") -> Iterator[Entry]:
+        """Keys of the dictionaries in a function, nested ones dotted."""
         if isinstance(node, ast.Dict):
             for key, value in zip(node.keys, node.values, strict=True):
-                if isinstance(key, ast.Constant) and NAME.fullmatch(str(key.value)):
-                    inner = list(self.list_keys(value, f"{prefix}{key.value}."))
-                    said = self.comments.get(key.lineno, "") or self.explain(key)
-                    if said or not inner:
-                        yield f"{prefix}{key.value}", said
-                    yield from inner
-                elif key is None:
+                if key is None:
                     yield from self.list_keys(value, prefix)
+                elif isinstance(key, ast.Constant) and NAME.fullmatch(str(key.value)):
+                    yield from self._list_entry(f"{prefix}{key.value}", key, value)
+        elif isinstance(node, ast.Assign) and isinstance(target := node.targets[0], ast.Subscript):
+            outer = target.value if isinstance(target.slice, ast.Constant) else target
+            if isinstance(outer, ast.Subscript):  # an entry of its own for each name
+                prefix = f"{ast.unparse(outer.value)}.<name>."
+            if isinstance(target.slice, ast.Constant):
+                yield from self._list_entry(f"{prefix}{target.slice.value}", node, node.value)
+            else:
+                yield from self.list_keys(node.value, prefix)
         else:
             for child in ast.iter_child_nodes(node):
-                if isinstance(node, ast.Assign) and isinstance(child, ast.Subscript):
-                    if isinstance(child.slice, ast.Constant) and NAME.fullmatch(str(child.slice.value)):
-                        yield f"{prefix}{child.slice.value}", self.explain(node)
-                else:
-                    yield from self.list_keys(child, prefix)
+                yield from self.list_keys(child, prefix)
+
+    def _list_entry(self, name: str, key: ast.expr | ast.stmt, value: ast.expr) -> Iterator[Entry]:
+        inner = list(self.list_keys(value, f"{name}."))
+        said = self.explain(key.lineno, key.lineno if inner else value.end_lineno or key.lineno)
+        if said or not inner:
+            yield name, said
+        yield from ((part, more or said) for part, more in inner)
 
 
-def list_entries(name: str) -> list[tuple[str, str]]:
-    """What a definition, ``module:Name``, puts into a file: pairs of a key and its meaning.
-
-    Keys that have no comment share a row, with the first sentence of the function's docstring.
-    """
+def list_entries(name: str) -> list[Entry]:
+    """What a definition, ``module:Name``, puts into a file; the first sentence of a docstring explains keys without
+    a comment."""
     module, _, inner = name.partition(":")
     source = Source(module)
     node = source.find(inner)
     if isinstance(node, ast.ClassDef):
         return list(source.list_fields(node))
-    found = dict.fromkeys(source.list_keys(node))
-    summary = read_summary(node)
-    return [entry if entry[1] else (entry[0], summary) for entry in found]
-
-
-def read_summary(node: Definition) -> str:
-    """First sentence of a docstring."""
-    text = cleandoc(ast.get_docstring(node) or "").partition("\n\n")[0]
-    return " ".join(text.split())
+    text = " ".join(cleandoc(ast.get_docstring(node) or "").partition("\n\n")[0].split())
+    summary, found = re.split(r"(?<=\.) (?=[A-Z])", text)[0].removesuffix("."), dict[str, str]()
+    for key, said in source.list_keys(node):
+        found[key] = found.get(key) or said
+    return [(key, said or summary) for key, said in found.items()]

@@ -100,14 +100,15 @@ def as_stored(diagnosis: Diagnosis) -> dict[str, Any]:
     """What ``diagnosis.json`` says beside the quantities: faults, what to set, and the smallest detectable faults."""
     fix, odometry = correct(diagnosis), diagnosis.odometry
     return {
-        "faults": [vars(finding) for finding in find_faults(diagnosis)],
+        "faults": [vars(finding) for finding in find_faults(diagnosis)],  # Each fault that was found
+        # Values that are right, but for a factor that all distances share [m]
         "set": {
             "left_radius_m": odometry["wheel_radius_m"] * fix.left,
             "right_radius_m": odometry["wheel_radius_m"] * fix.right,
             "track_m": odometry["track_m"] * fix.track,
         },
-        "smallest": list_smallest(diagnosis),
-        "unknown": UNKNOWN_SCALE_NOTE,
+        "smallest": list_smallest(diagnosis),  # The smallest detectable fault of each name in this recording
+        "unknown": UNKNOWN_SCALE_NOTE,  # What cannot be known
     }
 
 

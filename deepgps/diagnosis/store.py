@@ -59,13 +59,14 @@ def write_diagnosis(path: Path, diagnosis: Diagnosis, recording: Recording) -> N
     write_json(
         path,
         {
-            "format": FORMAT,
-            "recording": digest_files(recording),
+            "format": FORMAT,  # Number of the format
+            "recording": digest_files(recording),  # Digest of the recording, of which alone the diagnosis is valid
+            # Estimates by name: value, low and high of the 95 % interval, std where it is symmetric
             "quantities": values,
-            "stretches": [vars(one) for one in diagnosis.stretches],
-            "turns": diagnosis.turns,
-            "pairs": diagnosis.pairs,
-            "odometry": diagnosis.odometry,
+            "stretches": [vars(one) for one in diagnosis.stretches],  # Stretches in which a wheel is stuck
+            "turns": diagnosis.turns,  # Turns in place that were compared
+            "pairs": diagnosis.pairs,  # Pairs of images of about one place that were compared
+            "odometry": diagnosis.odometry,  # The constants that readings were converted with
             **as_stored(diagnosis),
         },
     )

@@ -92,15 +92,18 @@ def _measure(run: Path, scenario: Scenario, progress: Report) -> dict[str, Any]:
         methods[method] = {
             **_summarise(fields[method], side_m),
             **summarise_yaw(fields[method]),
+            # RMS distance of predictions from their mean over a position's headings
             "heading_spread_m": measure_heading_spread(fields[method].predicted),
-            "scale": alignment.scale,
+            "scale": alignment.scale,  # Factor from the method's map to the true one; measured, never applied
+            # Share of the training images placed more than 0.5 m from the truth
             "misplaced": measure_misplaced(alignment.apply(maps.training), truth),
             **measure_grid(fields[method], scenario),
-            "alignment": METHODS[method].alignment,
+            "alignment": METHODS[method].alignment,  # E2 or SE2
             **describe_parts(find_turned_parts(maps.training, recording)),
             **read_training(folder_of(run, method)),
         }
         if "map" in methods[method]:
+            # Whether more than 5 % of the map is undecided
             methods[method]["undecided"] = is_undecided(methods[method]["map"])
         if (stored := read_known_map(folder_of(run, method))) is not None:
             placed = place_map(stored, find_true_camera(recording, truth))
@@ -109,9 +112,11 @@ def _measure(run: Path, scenario: Scenario, progress: Report) -> dict[str, Any]:
         if in_use is not None:
             use_fields[method] = measure_in_use(maps.positioner, alignment, in_use, folder_of(run, method))
             causes = find_causes(maps.trained, recording, in_use)
+            # The same errors on the images of the drive in use, each a position of its own
             methods[method]["in_use"] = {**_summarise(use_fields[method], side_m), **maps.lean, **causes}
         if labels is not None:
             label_fields[method], to_labels = measure_field(maps, method, labels)
+            # The same errors against labels, where there are labels
             methods[method]["against_labels"] = {**_summarise(label_fields[method], side_m), "scale": to_labels.scale}
     for name, measured in (("error_field", fields), ("use_field", use_fields), ("label_field", label_fields)):
         if measured:
@@ -119,15 +124,20 @@ def _measure(run: Path, scenario: Scenario, progress: Report) -> dict[str, Any]:
     progress("evaluate", len(scenario.methods), len(scenario.methods))
     some = fields[scenario.methods[0]]
     return {
+        # Samples without a label, and errors of the labels
         **({} if labels is None else {"labels": measure_labels(labels, truth)}),
-        "shorter_side_m": side_m,
+        "shorter_side_m": side_m,  # Shorter side of the room
         **describe_drive(recording),
+        # Whether tests are held out of the drive, and at how many headings
         "test": {"held_out": bool(scenario.grid.held_out), "headings": some.predicted.shape[1]},
+        # Test positions, and how many of them the drive has seen
         "coverage": measure_coverage(some.truth, truth.pose[:, :2]),
+        # Drift of the dead-reckoned path: RMS and largest error after an SE2 alignment of it
         "trajectory": measure_trajectory(recording, truth),
-        "distances": judge_encoders(recording, truth),
+        "distances": judge_encoders(recording, truth),  # Errors of the encoders' distances along complete segments
+        # Images of the drive in use, where there is one
         **({} if in_use is None else {"in_use": {"samples": len(in_use.observation)}}),
-        "methods": methods,
+        "methods": methods,  # Figures of each method, by its name
     }
 
 
@@ -182,6 +192,7 @@ def measure_misplaced(places: np.ndarray, truth: Truth) -> float:
 def _summarise(field: ErrorField, shorter_side_m: float) -> dict[str, Any]:
     """Errors of all places, RMS over the room's shorter side, and figures of what is accepted."""
     errors = summarise(field.worst)
+    # RMS over the room's shorter side
     return {**errors, "relative_rms": errors["rms_m"] / shorter_side_m, **summarise_acceptance(field)}
 
 
@@ -189,6 +200,7 @@ def measure_grid(field: ErrorField, scenario: Scenario) -> dict[str, float]:
     """Measure how much of the map is flipped, which only a test grid can show."""
     if scenario.grid.held_out:
         return {}
+    # Share of the map with the rarer orientation: 0 for a correct map, at most a half
     return {"flipped": measure_flipped(field.truth, field.predicted.mean(axis=1), scenario.grid.spacing_m)}
 
 

@@ -55,19 +55,19 @@ def is_undecided(training: Mapping[str, Any]) -> bool:
 
 
 def judge_map(placed: PlacedMap) -> dict[str, float]:
-    """Measure a map against the truth: ``rms_m``, ``median_m``, ``max_m``, ``flipped_m2``, ``nees``.
+    """Measure a map against the truth.
 
-    ``flipped_m2`` is the area of the largest connected patch that the map turns over; ``nees`` the normalised
-    estimation error squared over its expectation of 2: 1 for a covariance that is right (Bar-Shalom et al., "Estimation
-    with Applications to Tracking and Navigation", 2001, Sec. 5.4).
+    ``nees``: Bar-Shalom et al., "Estimation with Applications to Tracking and Navigation", 2001, Sec. 5.4.
     """
     apart = placed.position - placed.truth
     error = np.linalg.norm(apart, axis=1)
     return {
-        "rms_m": find_rms(error),
-        "median_m": float(np.median(error)),
-        "max_m": float(error.max()),
+        "rms_m": find_rms(error),  # Errors of the map's positions [m]
+        "median_m": float(np.median(error)),  # Errors of the map's positions [m]
+        "max_m": float(error.max()),  # Errors of the map's positions [m]
+        # Area of the largest connected patch that the map turns over [m2]
         "flipped_m2": measure_flipped_patch(placed.truth, placed.position),
+        # Normalised estimation error squared over its expectation of 2: 1 for a covariance that is right
         "nees": measure_nees(placed.covariance, placed.samples, apart),
     }
 
@@ -149,9 +149,10 @@ def describe_parts(found: TurnedParts | None) -> dict[str, Any]:
         return {}
     return {
         "turned": {
+            # Share of the way driven in parts of the map that are mirrored or turned by the compass
             "share": round(found.share, 4),
-            "parts": [len(part) for part in found.parts],
-            "turns": found.turns,
+            "parts": [len(part) for part in found.parts],  # Observations of each such part
+            "turns": found.turns,  # Turns that were compared
         }
     }
 

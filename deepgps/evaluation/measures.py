@@ -29,8 +29,9 @@ def measure_coverage(cells: np.ndarray, samples: np.ndarray) -> dict[str, Any]:
     seen = find_seen(cells, samples)
     part = name_part(cells, ~seen)
     return {
-        "reachable_cells": len(cells),
-        "cells_seen": int(seen.sum()),
+        "reachable_cells": len(cells),  # Test positions
+        "cells_seen": int(seen.sum()),  # Those within 0.25 m of a training observation
+        # The part of the room with most of the others, north along y; left out where they lie all around
         **({"missed": part} if part else {}),
     }
 
@@ -212,8 +213,8 @@ def _judge_accepted(field: ErrorField) -> dict[str, Any]:
     error = find_worst(field, field.accepted).error
     figures = summarise(error) if len(error) else dict.fromkeys(summarise(np.zeros(1)))
     return {
-        "accepted": float(field.accepted.mean()),
-        "accepted_places": len(error) / max(len(field.truth), 1),
+        "accepted": float(field.accepted.mean()),  # Share of the test images that the method accepts
+        "accepted_places": len(error) / max(len(field.truth), 1),  # Share of the positions with at least one such image
         **{f"{name.removesuffix('_m')}_accepted_m": value for name, value in figures.items()},
     }
 
@@ -225,8 +226,10 @@ def _judge_radii(field: ErrorField) -> dict[str, Any]:
     chosen = field.is_accepted
     median = float(np.median(field.radius[chosen])) if chosen.any() else np.nan
     return {
+        # Share of the accepted images whose error is at most this radius, which should be 68 %
         "radius_68_holds": _share_within(field.error[chosen], field.radius[chosen]),
-        "radius_95_holds": _share_within(field.error[chosen], field.radius_95[chosen]),
+        "radius_95_holds": _share_within(field.error[chosen], field.radius_95[chosen]),  # The same for 95 %
+        # Median of the first radius over the accepted images
         "radius_68_median_m": median if np.isfinite(median) else None,
     }
 
@@ -243,14 +246,16 @@ def _judge_novelty(field: ErrorField) -> dict[str, Any]:
     largest = np.maximum.accumulate(sort_by(field.novelty, field.error))
     kept = [len(risk) - round(share * len(risk)) - 1 for share in REFUSED_SHARES]
     return {
+        # Probability that an error above 10 cm has a higher novelty than one below; None: fewer than 20
         "auroc_10cm": measure_auroc(field.error, field.novelty),
-        "aurc_m": float(risk.mean()),
+        "aurc_m": float(risk.mean()),  # Area under the curve of RMS error over all shares of images kept
+        # The same if those with the largest errors were refused: no score leaves less
         "best_aurc_m": float(best.mean()),
         "risk_coverage": {
-            "refused": list(REFUSED_SHARES),
-            "rms_m": _pick(risk, kept),
-            "max_m": _pick(largest, kept),
-            "best_rms_m": _pick(best, kept),
+            "refused": list(REFUSED_SHARES),  # Shares of all images, those with the highest novelty
+            "rms_m": _pick(risk, kept),  # RMS error of the images that are left
+            "max_m": _pick(largest, kept),  # Largest error of these
+            "best_rms_m": _pick(best, kept),  # RMS that would be left if those with the largest errors were refused
         },
     }
 

@@ -15,25 +15,19 @@ HEADING_DISTANCE_M = 3.0  # Way of the true path by which a dead-reckoned one is
 
 
 def judge_encoders(recording: Recording, truth: Truth) -> dict[str, Any]:
-    """Measure the errors of distances from start to end of segments.
-
-    Returns:
-        ``segment_rms_m``: RMS of the encoder's distance minus the true one [m]; ``segment_expected_m``: the RMS that
-        theory predicts for these encoders [m]; ``segments_wrong``: segments with larger errors than noise explains;
-        ``segments_down_weighted``: those to which a noise-aware method gives less than half the weight;
-        ``wrong_doubted``: those that are both.
-    """
+    """Measure the errors of distances from start to end of segments."""
     segments = expect_errors(recording, read_segments(recording))
     encoder = EncoderSettings.model_validate(recording.manifest.settings.get("encoder", {}))
     _, error = measure_segments(recording, truth.pose)
     assert segments.weight is not None
     wrong, doubted = find_wrong(segments, error), segments.weight.numpy() < 0.5
     return {
-        "segment_rms_m": find_rms(error),
-        "segment_expected_m": predict_rms(segments, encoder),
-        "segments_wrong": int(wrong.sum()),
+        "segment_rms_m": find_rms(error),  # RMS of the encoder's distance minus the true one [m]
+        "segment_expected_m": predict_rms(segments, encoder),  # The RMS that theory predicts for these encoders [m]
+        "segments_wrong": int(wrong.sum()),  # Segments with larger errors than noise explains
+        # Those to which a noise-aware method gives less than half the weight
         "segments_down_weighted": int(doubted.sum()),
-        "wrong_doubted": int((wrong & doubted).sum()),
+        "wrong_doubted": int((wrong & doubted).sum()),  # Those that are both
     }
 
 
@@ -44,9 +38,9 @@ def describe_drive(recording: Recording) -> dict[str, Any]:
     if driven_m is None:
         driven_m = measure_driven(segment, travel(recording.reading[:, 2:], about.odometry).mean(axis=1))
     return {
-        "samples": len(recording.observation),
-        "segments": len(np.unique(segment)) if segments is None else segments,
-        "distance_driven_m": driven_m,
+        "samples": len(recording.observation),  # Observations
+        "segments": len(np.unique(segment)) if segments is None else segments,  # Straight segments
+        "distance_driven_m": driven_m,  # Distance along all segments [m]
     }
 
 

@@ -151,13 +151,15 @@ def _open_reference(alignment: Alignment, recording: Recording, track: Track) ->
 def _describe(method: str, images: int, track: Track, reference: Reference | None) -> dict[str, Any]:
     seen = track.observation != NO_IMAGE
     figures = {
-        "method": method,
-        "images": images,
-        "tracked": int(seen.sum()),
+        "method": method,  # Its name
+        "images": images,  # Images of the drive
+        "tracked": int(seen.sum()),  # Images that were tracked
+        # Share of these that is accepted, by path
         "accepted": {name: float(track.paths[name].accepted[seen].mean()) for name in ("single", "causal", "smoothed")},
     }
     if reference is None:
         return figures
+    # Errors of each path, where the truth is known
     return {**figures, "paths": measure_track(track, reference.alignment, reference.pose)}
 
 
@@ -216,18 +218,20 @@ def _measure(found: np.ndarray, true: np.ndarray, accepted: np.ndarray) -> dict[
         return {"images": 0}
     error = np.hypot(*(found - true)[:, :2].T)
     figures = {
-        "images": len(found),
-        "rms_m": find_rms(error),
-        "median_m": float(np.median(error)),
-        "p95_m": float(np.percentile(error, 95.0)),
-        "max_m": float(error.max()),
-        "ate_m": measure_ate(found[:, :2], true[:, :2]),
-        "accepted": float(accepted.mean()),
+        "images": len(found),  # Images with a position
+        "rms_m": find_rms(error),  # Errors of positions [m], by the stored alignment
+        "median_m": float(np.median(error)),  # Errors of positions [m], by the stored alignment
+        "p95_m": float(np.percentile(error, 95.0)),  # Errors of positions [m], by the stored alignment
+        "max_m": float(error.max()),  # Errors of positions [m], by the stored alignment
+        "ate_m": measure_ate(found[:, :2], true[:, :2]),  # RMS error after an alignment of its own [m]
+        "accepted": float(accepted.mean()),  # Share of the poses that are accepted
     }
     if accepted.any():
+        # RMS and largest error of what is accepted [m]
         figures |= {"rms_accepted_m": find_rms(error[accepted]), "max_accepted_m": float(error[accepted].max())}
     directed = np.isfinite(found[:, 2])
     if directed.any():
+        # RMS error of the yaw [deg]
         figures["yaw_rms_deg"] = float(np.degrees(find_rms(wrap(found[:, 2] - true[:, 2])[directed])))
     place_m, turn_rad = measure_rpe(found, true, POSE_SEPARATION) if len(found) > POSE_SEPARATION else (np.nan, np.nan)
     if np.isfinite(place_m):

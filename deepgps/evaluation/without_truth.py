@@ -52,9 +52,10 @@ def judge(run: Path, scenario: Scenario, progress: Report = ignore) -> dict[str,
     progress("evaluate", len(scenario.methods), len(scenario.methods))
     return {
         **describe_drive(recording),
+        # Observations, segments and distance of the drive that is held out
         **({} if held_out is None else {"held_out": describe_drive(held_out)}),
-        "wheels": _diagnose_wheels(run, recording),
-        "methods": methods,
+        "wheels": _diagnose_wheels(run, recording),  # What is wrong with the wheels; None: it cannot be known
+        "methods": methods,  # What is known of each method, and what training.json holds
     }
 
 
@@ -81,19 +82,22 @@ def _judge_method(
     place = positioner(recording.observation)
     check_predicted(folder, place)
     found: dict[str, Any] = {
-        "segments": judge_segments(place, recording),
+        "segments": judge_segments(place, recording),  # Figures of the segments trained on
+        # Share of the cells of 0.25 m on a further segment that none before passed (Good-Turing)
         "new_expected": expect_new(place[recording.reading[:, 1]], recording.reading[:, 0]),
     }
     if held_out is not None:
         adapted, lean = adapt(positioner, held_out)
         poses = find_poses(adapted, held_out.observation)
         rows = held_out.reading
+        # Figures of the segments held out
         found["held_out"] = {
             **judge_segments(poses.position, held_out, poses.accepted),
             **judge_turns(adapted, held_out),
             **_judge_trust(poses),
             **lean,
             **find_causes(positioner, recording, held_out),
+            # The share of new cells, measured on what is held out
             "new": measure_new(poses.position[rows[:, 1]], rows[:, 0], place),
         }
     return {**found, **read_training(folder)}
@@ -102,10 +106,7 @@ def _judge_method(
 def judge_segments(place: np.ndarray, recording: Recording, accepted: np.ndarray | None = None) -> dict[str, Any]:
     """How well positions (N, 2) [m] agree with what the wheels say of a recording's segments.
 
-    Returns ``length_rms_m`` and ``length_median_m``: differences of lengths from those by the wheels [m]; ``scale``:
-    the factor of all lengths that fits best; ``straight_rms_m``: distance of positions from the straight line that fits
-    those of their segment best [m]. None where there is too little. If it is known which observations are accepted (N,)
-    bool, ``length_rms_accepted_m`` counts segments of which both ends are.
+    Figures are None where there is too little. ``accepted`` (N,) bool says which observations are, if it is known.
     """
     reading = recording.reading
     way = travel(reading[:, 2:], recording.manifest.odometry).mean(axis=1)
@@ -118,14 +119,17 @@ def judge_segments(place: np.ndarray, recording: Recording, accepted: np.ndarray
     wheels = np.abs(way[last] - way[first])
     found = np.linalg.norm(place[reading[last, 1]] - place[reading[first, 1]], axis=1)
     both = np.ones(len(last), bool) if accepted is None else accepted[reading[first, 1]] & accepted[reading[last, 1]]
+    # The RMS of segments of which both ends are accepted [m]
     kept = {} if accepted is None or not both.any() else {"length_rms_accepted_m": find_rms((found - wheels)[both])}
     runs = [place[reading[one : other + 1, 1]] for one, other in zip(first, last, strict=True)]
     off = [_measure_bend(run) for run in runs if len(run) >= MIN_IMAGES]
     return {
+        # RMS difference of a segment's length by positions from that by the wheels [m]
         "length_rms_m": find_rms(found - wheels),
         **kept,
-        "length_median_m": float(np.median(np.abs(found - wheels))),
-        "scale": float((found * wheels).sum() / (wheels**2).sum()),
+        "length_median_m": float(np.median(np.abs(found - wheels))),  # Median of these differences [m]
+        "scale": float((found * wheels).sum() / (wheels**2).sum()),  # Factor of all lengths that fits best
+        # RMS distance of positions from the straight line through their segment [m]
         "straight_rms_m": find_rms(np.concatenate(off)) if off else None,
     }
 
@@ -139,7 +143,7 @@ def _measure_bend(places: np.ndarray) -> np.ndarray:
 def judge_turns(positioner: Positioner, drive: Recording) -> dict[str, Any]:
     """How well the yaws before and after turns in place agree with the compass, which compares both images alone.
 
-    Returns ``turns`` that were compared and ``turn_rms_deg``, the RMS difference; nothing where there is neither.
+    Nothing is returned where there are neither turns nor yaws.
     """
     turns = turns_with_images(drive)
     if turns is None or not len(rows := find_in_place(turns)):
@@ -156,6 +160,7 @@ def judge_turns(positioner: Positioner, drive: Recording) -> dict[str, Any]:
     headings = positioner.headings
     sign = 1 if headings is None else headings.chirality  # a map may be mirrored
     differ = np.sqrt(np.mean(wrap(sign * turned[known] - angle[known]) ** 2))
+    # Turns in place compared; RMS difference of yaws after and before from the compass [deg]
     return {"turns": int(known.sum()), "turn_rms_deg": float(np.degrees(differ))}
 
 

@@ -152,14 +152,16 @@ def fit_data(
 
     best, attempts = train_until_unfolded(train_once, settings.fold.restarts, folder)
     training = {
-        "steps": settings.train.steps * len(attempts),
-        "train_s": round(sum(attempt.seconds for attempt in attempts), 1),
-        "parameters": count_parameters(best.positioner.network),
-        "attempts": len(attempts),
-        "attempt": best.number,
+        "steps": settings.train.steps * len(attempts),  # Steps of all attempts
+        "train_s": round(sum(attempt.seconds for attempt in attempts), 1),  # Seconds of all attempts
+        "parameters": count_parameters(best.positioner.network),  # Parameters of the network
+        "attempts": len(attempts),  # Number of attempts
+        "attempt": best.number,  # The one that was chosen, counted from 0
+        # Verdict of the fold detector, which does not see the truth, and the measures behind it
         "fold": {"found": best.score.folded, **asdict(best.score)},
-        "map": record_undecided(best.ambiguous),
-        "segments_skipped": data.segments.skipped,
+        "map": record_undecided(best.ambiguous),  # What is undecided of the map
+        "segments_skipped": data.segments.skipped,  # Segments that were not used
+        # Segments with a weight below a half
         "segments_down_weighted": len(data.segments.count) - len(find_inliers(data.segments)),
     }
     return Fitted(best.positioner, training)
@@ -217,6 +219,7 @@ def train_attempt(
 
 def record_undecided(undecided: np.ndarray) -> dict[str, Any]:
     """What ``training.json`` holds of a mask (N,) of observations that may lie elsewhere: share, ends of each part."""
+    # Share of the observations that may lie elsewhere; first and last of each such part
     return {"undecided": round(float(undecided.mean()), 4), "parts": find_stretches(undecided).tolist()}
 
 

@@ -138,12 +138,15 @@ class Causes:
     def summarise(self) -> dict[str, Any]:
         """Contents of ``in_use.causes`` in ``metrics.json``."""
         return {
+            # Share of images accepted, without those that are black, white, covered or frozen
             "accepted": float(self.accepted.mean()),
-            "named": self.named,
-            "shares": _count(self.label),
+            "named": self.named,  # Causes of the drive, that of most images first
+            "shares": _count(self.label),  # Share of the images with each cause
+            # Share of the images with each cause and refused
             "refused": _count(np.where(self.accepted, "", self.label)),
+            # How far the camera leans from its lean in training [deg]; None: no turns show it
             "lean_deg": self.lean_deg,
-            "gain": self.gain,
+            "gain": self.gain,  # Values of images over those in training
         }
 
 
