@@ -39,17 +39,18 @@ def needed_by(lines: Iterable[str]) -> dict[str, list[Requirement]]:
     The needs of this project are read from pyproject.toml, those of others from what is installed.
     """
     found: dict[str, list[Requirement]] = {}
-    todo = [Requirement(line) for line in lines]
+    todo = [(Requirement(line), "") for line in lines]
     while todo:
-        one = todo.pop()
+        one, within = todo.pop()
         name = canonicalize_name(one.name)
+        if one.marker is not None and not one.marker.evaluate({"extra": within}):
+            continue
         if LEFT_TO_TORCH.match(name) or one in found.setdefault(name, []):
             continue
         found[name].append(one)
         for extra in one.extras | {""}:
             needs = EXTRAS.get(extra, []) if name == PROJECT["name"] else requires(name) or []
-            wanted = [Requirement(line) for line in needs]
-            todo += [need for need in wanted if need.marker is None or need.marker.evaluate({"extra": extra})]
+            todo += [(Requirement(line), extra) for line in needs]
     found.pop(PROJECT["name"], None)
     return found
 

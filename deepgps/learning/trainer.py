@@ -9,9 +9,11 @@ the demo, initial maps that differed by 1e-10 m ended in an RMS of 3.4 and of 4.
 methods, or nearly one between two machines, is noise.
 """
 
+import os
+import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -31,6 +33,20 @@ from sim.rng import derive_seed
 SNAPSHOT_SAMPLES = 2000
 LOSS_POINTS = 300
 WARM_UP_SHARE = 0.05
+
+
+def load_triton() -> None:
+    """Load Triton, which torch's CUDA builds import with the first optimiser or export, so that it uses its own LLVM.
+
+    With Mesa's LLVM, which MuJoCo's renderer loads on a machine without a GPU, Triton ends the process.
+    """
+    flags = sys.getdlopenflags()
+    sys.setdlopenflags(flags | os.RTLD_DEEPBIND)
+    try:
+        with suppress(ImportError):
+            import triton  # noqa: F401  # pyright: ignore[reportMissingImports]
+    finally:
+        sys.setdlopenflags(flags)
 
 
 def make_generator(seed: int, purpose: str, attempt: int = 0) -> torch.Generator:
@@ -215,6 +231,7 @@ def train(
     with use_threads(settings.threads):
         device = choose_device(settings.device)
         network = network.to(device).train()
+        load_triton()
         optimiser = torch.optim.AdamW(
             network.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay, fused=True
         )

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 from deepgps.api.run import Frame, Run
+from deepgps.learning.trainer import load_triton
 from deepgps.positioner.positioner import NetworkPositioner, Positioner
 from deepgps.robot_io.deployed import Deployed
 from deepgps.robot_io.trajectories import WRITERS, Format, find_trajectories, write_drives, write_trajectories
@@ -142,6 +143,7 @@ def build_model(positioner: NetworkPositioner, alignment: Alignment | None) -> t
         raise InputError(
             "--onnx needs pip install onnx onnxscript onnxruntime (in a checkout: make setup-dev)"
         ) from None
+    load_triton()
     module = Deployed(positioner, alignment).eval()
     some = torch.zeros((2, *positioner.shape), dtype=torch.uint8)
     with _quiet(), torch.inference_mode():

@@ -1,5 +1,7 @@
 """Trainings: the same bytes however they are interrupted; on a GPU no step waits for a value, as fake tensors show."""
 
+import os
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -21,6 +23,7 @@ from deepgps.learning.trainer import (
     describe_device,
     find_device,
     has_fast_bfloat16,
+    load_triton,
     make_generator,
     make_step,
     predict,
@@ -136,6 +139,15 @@ def test_an_absent_device_is_refused(monkeypatch: pytest.MonkeyPatch):
     assert [str(choose_device(name)) for name in ("cpu", "cuda", "cuda:1")] == ["cpu", "cuda", "cuda:1"]
     with pytest.raises(InputError, match=r"learn\.train\.device 'cuda:2': this machine's last CUDA device is cuda:1"):
         choose_device("cuda:2")
+
+
+def test_triton_is_loaded_with_its_own_symbols(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    (tmp_path / "triton.py").write_text("import sys\nflags = sys.getdlopenflags()\n")
+    monkeypatch.delitem(sys.modules, "triton", raising=False)
+    monkeypatch.syspath_prepend(tmp_path)
+    before = sys.getdlopenflags()
+    load_triton()
+    assert sys.modules.pop("triton").flags == before | os.RTLD_DEEPBIND and sys.getdlopenflags() == before
 
 
 def test_bfloat16_is_used_where_it_is_faster(monkeypatch: pytest.MonkeyPatch):
