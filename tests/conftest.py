@@ -25,7 +25,7 @@ if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     # As for a script's job in the background. Processes would inherit that, but not a handler that ignores it.
     signal.signal(signal.SIGINT, lambda *_: None)
 
-SMALL = SimSettings(
+SMALL_WORLD = SimSettings(
     room=RoomSettings(kind="bedroom", width_m=3.2, depth_m=2.8),
     camera=CameraSettings(rings=8, sectors=32, face_px=16),
     drive=DriveSettings(samples=300),
@@ -51,7 +51,7 @@ def without_plugins():
 
 @pytest.fixture(scope="session")
 def small_settings() -> SimSettings:
-    return SMALL
+    return SMALL_WORLD
 
 
 @pytest.fixture(scope="session")
@@ -60,7 +60,7 @@ def small_recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from sim.recording.collect import collect
 
     def make(folder: Path) -> None:
-        collect(SMALL, 0, folder / "recording", lambda *_: None, workers=1)
+        collect(SMALL_WORLD, 0, folder / "recording", lambda *_: None, workers=1)
 
     return make_once(tmp_path_factory, "small", make) / "recording"
 

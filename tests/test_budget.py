@@ -4,10 +4,10 @@ import re
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-MOST = {
+LIMITS = {
     "lines of sim and deepgps": 42_050,
     "files of sim and deepgps": 280,
-    "lines of tests": 28_100,
+    "lines of tests": 28_160,
     "Python files directly in deepgps": 2,
     "words of decisions": 6_000,
     "words of all other pages by hand": 18_000,
@@ -43,5 +43,5 @@ def test_the_project_stays_light():
         "words of the reference that the code does not say": count_words(list((docs / "reference").glob("*.md"))),
         "words of published results": count_words(list((docs / "results").rglob("*.md"))),
     }
-    over = [f"{name}: {found[name]:,}, at most {most:,}" for name, most in MOST.items() if found[name] > most]
+    over = [f"{name}: {found[name]:,}, at most {most:,}" for name, most in LIMITS.items() if found[name] > most]
     assert not over, "; ".join(over)

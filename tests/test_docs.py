@@ -32,7 +32,7 @@ from tests.times import COLUMNS, list_rows
 from tests.times import COMMANDS as COMMANDS_TIMED
 
 RUN = {"bash", "python", "yaml"}
-SHOWN = {"text", "xml", "toml", "bibtex", "{eval-rst}"}
+SHOWN_LANGUAGES = {"text", "xml", "toml", "bibtex", "{eval-rst}"}
 """Languages that are only shown; an xml block is a file that a command reads."""
 FORMATS = (ROOT / "docs" / "reference" / "formats.md").read_text(encoding="utf-8").replace("methods.<name>.", "")
 
@@ -40,7 +40,7 @@ FORMATS = (ROOT / "docs" / "reference" / "formats.md").read_text(encoding="utf-8
 def test_every_command_setting_and_import_of_the_pages_exists(finished_run: Path, tmp_path: Path) -> None:
     for page in PAGES:
         for block in find_blocks(page):
-            assert block.language in RUN | SHOWN, block.place
+            assert block.language in RUN | SHOWN_LANGUAGES, block.place
             check_block(block, tmp_path, finished_run)
 
 
@@ -90,7 +90,7 @@ def test_of_two_machines_the_one_that_was_measured_has_its_own_time() -> None:
     assert list(list_rows({"tiny": 12.0}, slow=False)) == [("`deepgps run tiny`", "10 s", "40 s")]
 
 
-MADE = re.compile(r"\b([0-9a-f]{7}) \(\d{1,2} \w+ 20\d\d\)")
+DATED_COMMIT = re.compile(r"\b([0-9a-f]{7}) \(\d{1,2} \w+ 20\d\d\)")
 """A commit and its date."""
 
 
@@ -98,7 +98,7 @@ MADE = re.compile(r"\b([0-9a-f]{7}) \(\d{1,2} \w+ 20\d\d\)")
     "page", sorted((ROOT / "docs" / "results").glob("*/table.md")), ids=lambda page: page.parent.name
 )
 def test_a_published_page_names_commit_and_date_and_so_does_the_page_of_results(page: Path) -> None:
-    made = MADE.findall(page.read_text(encoding="utf-8"))
+    made = DATED_COMMIT.findall(page.read_text(encoding="utf-8"))
     assert made, "it names no commit with its date"
     results = (ROOT / "docs" / "results.md").read_text(encoding="utf-8").replace("\n", " ")
     told = {commit: re.findall(r"`(\S+?)`", names) for commit, names in re.findall(r"\b(\w{7}) \((`.+?)\)", results)}

@@ -94,7 +94,7 @@ def test_installed_command_finds_its_assets_from_another_folder(installed, tmp_p
     assert {Path(path) for path in found} == {installed / "sim" / path.relative_to(ROOT) for path in here}
 
 
-SMALL = ("--drive.samples", "120", "--learn.train.steps", "20", "--methods", "deepgps")
+SMALL_RUN = ("--drive.samples", "120", "--learn.train.steps", "20", "--methods", "deepgps")
 
 
 @pytest.mark.slow
@@ -105,6 +105,6 @@ def test_tiny_scenario_runs_from_the_wheel_in_another_folder(installed, tmp_path
         cwd=tmp_path, PYTHONPATH=str(installed),
     )  # fmt: skip
     assert where.count(str(installed)) == 2
-    call(str(installed / "bin" / "deepgps"), "run", "tiny", *SMALL, cwd=tmp_path, PYTHONPATH=str(installed))
+    call(str(installed / "bin" / "deepgps"), "run", "tiny", *SMALL_RUN, cwd=tmp_path, PYTHONPATH=str(installed))
     (metrics,) = (tmp_path / "runs" / "tiny").glob("*/metrics.json")
     assert json.loads(metrics.read_text(encoding="utf-8"))["methods"]["deepgps"]["rms_m"] > 0

@@ -32,7 +32,7 @@ from sim.geometry import FreeSpace, limits
 from sim.recording.format import open_truth
 
 PAIRS = "pairs"
-SAME_M = SCALE_M[0]  # Errors that differ by less than this count as equal [m]
+MIN_DIFFERENCE_M = SCALE_M[0]  # Errors that differ by less than this count as equal [m]
 # blue: B is better; grey: the same; orange: B is worse
 CHANGE_COLOURS = LinearSegmentedColormap.from_list(
     "change",
@@ -116,8 +116,10 @@ def open_pair(folders: Sequence[Path]) -> Pair:
 
 def scale_change(change: np.ndarray) -> np.ndarray:
     """Scale changes (...,) [m] to [-1, 1]: 0 up to a centimetre, then logarithmic to a metre, as errors are drawn."""
-    decades = np.log10(SCALE_M[1] / SAME_M)
-    return np.sign(change) * np.clip(np.log10(np.maximum(np.abs(change), SAME_M) / SAME_M) / decades, 0, 1)
+    decades = np.log10(SCALE_M[1] / MIN_DIFFERENCE_M)
+    return np.sign(change) * np.clip(
+        np.log10(np.maximum(np.abs(change), MIN_DIFFERENCE_M) / MIN_DIFFERENCE_M) / decades, 0, 1
+    )
 
 
 def colours_of_change(share: np.ndarray) -> np.ndarray:
@@ -156,10 +158,10 @@ def _list_places(pair: Pair) -> str:
     rows = []
     for name in pair.methods:
         change = pair.change(name)
-        better, worse = int((change < -SAME_M).sum()), int((change > SAME_M).sum())
+        better, worse = int((change < -MIN_DIFFERENCE_M).sum()), int((change > MIN_DIFFERENCE_M).sum())
         rows.append([title_of(name), str(better), str(len(change) - better - worse), str(worse)])
     table = tabulate(["method", "B better", "same", "B worse"], rows)
-    return f"Test positions where B is better or worse by more than {100 * SAME_M:g} cm:\n\n{table}"
+    return f"Test positions where B is better or worse by more than {100 * MIN_DIFFERENCE_M:g} cm:\n\n{table}"
 
 
 def _list_figures(pair: Pair, names: Sequence[str]) -> str:

@@ -115,7 +115,7 @@ def collect(
     if (folder / "manifest.json").is_file():
         remove_files(work, WORK_PATH)  # a process was killed just before it removed them
         return
-    if folder.is_dir():  # what is there was left by a killed process, or is about to be rewritten
+    if folder.is_dir():  # its files were left by a killed process, or is about to be rewritten
         remove_files(folder, OWN_PATH if settings.deployment.drive_samples else RECORDING)
     work.mkdir(parents=True, exist_ok=True)
     taught = settings.model_copy(update={"deployment": DeploymentSettings()})  # the room as it is in training

@@ -8,9 +8,11 @@ from tests.faults.command import deepgps
 
 LIMIT_S, LIMIT_MB = 90.0, 3000.0
 """A command may take as long to start, and its child ten seconds and 2 GB for a room."""
-LONGEST = 2_000
+MAX_LINE_LETTERS = 2_000
 """Characters of one line that one still reads."""
-SMALL = "drive: {samples: 16}\ngrid: {spacing_m: 1.0, headings: 1}\ncamera: {rings: 8, sectors: 32, face_px: 16}\n"
+SMALL_SCENARIO = (
+    "drive: {samples: 16}\ngrid: {spacing_m: 1.0, headings: 1}\ncamera: {rings: 8, sectors: 32, face_px: 16}\n"
+)
 LAUGHS = "".join(f"x{n}: &x{n} [{', '.join([f'*x{n - 1}'] * 9)}]\n" for n in range(1, 10))
 SCENARIOS = {
     "aliases of aliases": f"x0: &x0 [y]\n{LAUGHS}seed: *x9\n",
@@ -27,12 +29,12 @@ STUDIES = {
     + "".join(f"  {name}: {list(range(1000))}\n" for name in ("learn.seed", "room.seed", "obstacles.seed")),
     "9,999 wrong runs": f"scenario: tiny\naxes: {{drive.samples: [{', '.join(f'w{n}' for n in range(9_999))}]}}\n",
 }
-DEEP = "<body>" * 30_000 + '<geom size="0.1"/>' + "</body>" * 30_000
+DEEP_MODEL = "<body>" * 30_000 + '<geom size="0.1"/>' + "</body>" * 30_000
 BODIES = {
     "replicate in replicate": '<replicate count="1000"><replicate count="1000"><replicate count="1000">'
     '<geom size="0.01"/></replicate></replicate></replicate>',
     "200,000 geoms": '<geom size="0.1"/>' * 200_000,
-    "bodies in bodies": DEEP,
+    "bodies in bodies": DEEP_MODEL,
     "a cable of 100 million": '<composite type="cable" count="100000000 1 1" size="1 1 1"><geom size="1"/></composite>',
     "no numbers": '<geom size="0.1" pos="nan 0 0"/>',
 }
@@ -72,13 +74,13 @@ def _attack(texts: Mapping[str, str], file: str, words: tuple[str, ...]) -> Call
     def attempt(case: Case) -> Verdict:
         name = list(texts)[case.number % len(texts)]
         (case.folder / file).write_text(texts[name])
-        (case.folder / "small.yaml").write_text(SMALL)
+        (case.folder / "small.yaml").write_text(SMALL_SCENARIO)
         ended = deepgps(*words, "--out", "out", cwd=case.folder, time_s=LIMIT_S, memory_mb=LIMIT_MB)
         faults = {
             ended.fell: ended.fell,
             "ran code": os.path.lexists(case.folder / "fallen"),
             f"{len(ended.complaints)} lines": ended.code and len(ended.complaints) != 1,
-            "a line of thousands of characters": ended.said > LONGEST,
+            "a line of thousands of characters": ended.said > MAX_LINE_LETTERS,
             "left litter": ended.code and any(os.path.lexists(case.folder / one) for one in ("MUJOCO_LOG.TXT", "out")),
         }
         kind = next((kind for kind, found in faults.items() if found), "")

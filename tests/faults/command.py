@@ -23,7 +23,7 @@ TIME_S = 300.0
 MEMORY_MB = 6000.0
 LEAVE_S = 5.0
 """How long a command's processes may take to go after it has ended."""
-LONGEST = 200_000
+MAX_OUTPUT_LETTERS = 200_000
 TICK_S = 0.01
 PROGRESS = re.compile(r"[^:]{1,80}: [\d,]+ of [\d,]+ \(\d+ %\)")
 
@@ -35,7 +35,7 @@ class Ended:
     Attributes:
         line: The command as one types it.
         code: Its exit code, or the negative signal that ended it.
-        out: What it said, at most LONGEST characters.
+        out: What it said, at most MAX_OUTPUT_LETTERS characters.
         err: What it complained about, at most as many.
         said: Characters of both, all of them.
         over: The limit that it broke and was ended for; empty: none.
@@ -131,8 +131,8 @@ def finish(running: Running, time_s: float = TIME_S, memory_mb: float = MEMORY_M
     return Ended(
         line=running.line,
         code=process.returncode,
-        out=out[:LONGEST].decode(errors="replace"),
-        err=err[:LONGEST].decode(errors="replace"),
+        out=out[:MAX_OUTPUT_LETTERS].decode(errors="replace"),
+        err=err[:MAX_OUTPUT_LETTERS].decode(errors="replace"),
         said=len(out) + len(err),
         over=over,
         left=len(left),

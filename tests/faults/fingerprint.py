@@ -9,7 +9,7 @@ from typing import Any
 
 BY_BYTES = {".npy", ".npz", ".safetensors", ".key", ".glb", ".png", ".parquet", ".yaml", ".md"}
 TIME = re.compile(r"^(Time:|[\d.]+ s in all|in all|all\.$|This command took|look at it:|.* is done:|copied to)")
-UNSTEADY = re.compile(r"\.(checksum|train_s|collect_s|timing_s\b.*|environment\b.*|renderer_deaths)$")
+TIMINGS = re.compile(r"\.(checksum|train_s|collect_s|timing_s\b.*|environment\b.*|renderer_deaths)$")
 LAST_CELL = re.compile(rb"\|[^|]*\|$", re.MULTILINE)  # of a study's table: seconds of training
 LAST_COLUMN = re.compile(r"(\bS?E2\s+)[\d.]+\s*$")
 Print = dict[str, str]
@@ -36,7 +36,7 @@ def take(folder: Path) -> Print:
 
 def same_in(first: Print, second: Print) -> Print:
     """The part of a fingerprint that is the same in two clean runs: without times and what depends on them."""
-    return {name: value for name, value in first.items() if second.get(name) == value and not UNSTEADY.search(name)}
+    return {name: value for name, value in first.items() if second.get(name) == value and not TIMINGS.search(name)}
 
 
 def differences(expected: Print, found: Print, without: frozenset[str] = frozenset()) -> list[str]:

@@ -11,7 +11,7 @@ from tests.faults.material import Material, Run, copy
 from tests.faults.moments import wait_for_moment
 from tests.faults.tree import Looks, find_lost, look
 
-MINE = (
+DATA = (
     *("thesis.txt", "recording/mine.npy", "deepgps/notes.md", "figures/mine.png", "notes.123.part", "movie.part"),
     *("own/deeper/data.bin", "recording/truth/remark.txt", "leer zeichen 空.txt", "metrics.json.bak"),
 )
@@ -27,14 +27,14 @@ def list_tests(material: Material) -> list[Test]:
 
 def plant_in_run(folder: Path, rng: random.Random) -> Looks:
     """Put files of a user's own into a run, among its files; returns how they look."""
-    for name in rng.sample(MINE, rng.randint(1, 6)):
+    for name in rng.sample(DATA, rng.randint(1, 6)):
         path = folder / name
         if not os.path.lexists(path):
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(rng.randbytes(rng.randint(0, 3000)))
     if rng.random() < 0.4:
         (folder / "link").symlink_to(rng.choice(["thesis.txt", "..", "nowhere"]))
-    return {name: how for name, how in look(folder).items() if name in MINE or name in {"link", "own", "own/deeper"}}
+    return {name: how for name, how in look(folder).items() if name in DATA or name in {"link", "own", "own/deeper"}}
 
 
 def _attack_killed(old: Run, new: Run):
@@ -83,6 +83,6 @@ def _judge_done(ended: Ended, folder: Path, mine: Looks, expected: Print) -> Ver
         return Verdict(ended.fell or f"refused with {ended.code}", False, ended.show())
     if wrong := differences(expected, take(folder)):
         return Verdict("another result", False, f"{', '.join(wrong[:6])}: {ended.show()}")
-    if parts := [path for path in folder.rglob("*.part") if path.name not in MINE]:
+    if parts := [path for path in folder.rglob("*.part") if path.name not in DATA]:
         return Verdict("left a .part file", False, f"{parts[0]}: {ended.show()}")
     return Verdict("done, same as a clean run", True)

@@ -15,7 +15,7 @@ from tests.faults.command import REPOSITORY, Ended, deepgps, finish, has_ended, 
 from tests.faults.fingerprint import Print, figures_printed, same_in, take
 
 STEPS = {"learn.train.steps": 300, "learn.train.checkpoint_steps": 50}
-SMALL = {
+SMALL_SETTINGS = {
     "landmarks.segments": 60,
     "drive.samples": 400,
     "drive.spacing_m": 0.05,
@@ -33,7 +33,7 @@ SMALL = {
 METHODS = ["deepgps", "posenet", "knn"]
 SCENARIOS = {
     "room": ("tiny", {"drive.samples": 300, **STEPS}),
-    "landmarks": ("landmarks", SMALL),
+    "landmarks": ("landmarks", SMALL_SETTINGS),
 }
 STAGES = {
     "collecting": "evaluate",

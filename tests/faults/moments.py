@@ -6,7 +6,7 @@ from pathlib import Path
 
 from tests.faults.command import Running, has_ended
 
-LONGEST_S = 120.0
+MAX_WAIT_S = 120.0
 PACE_S = 0.01
 
 
@@ -26,7 +26,7 @@ def wait_for_moment(
     name = "" if rng.random() < early else rng.choice(names)
     more = rng.uniform(0.0, 2.0 if rng.random() < 0.2 else 0.3)
     begun = time.time() - (time.monotonic() - running.started)
-    end = time.monotonic() + LONGEST_S
+    end = time.monotonic() + MAX_WAIT_S
     while name and not _is_there(place, name, begun) and not has_ended(running) and time.monotonic() < end:
         time.sleep(PACE_S)
     more = more if name else 10 * more

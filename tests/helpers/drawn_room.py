@@ -19,13 +19,13 @@ from sim.sensors.camera.mount import tilt
 from sim.settings import CameraSettings
 
 SIZE_M = np.array([3.0, 2.5, 2.0])
-BELOW_M = 0.35
+CAMERA_DEPTH_M = 0.35
 RADIUS_M, HEIGHT_M = 0.2, 1.2
 RINGS, SECTORS = 16, 64
 STEP_M = 0.08
 PILLARS = ((0.3, 0.3), (2.7, 2.2), (2.7, 0.3), (0.3, 1.4))
-MOVED = ((1.5, 0.2), (2.8, 1.2), (0.2, 2.2), (1.2, 2.3))
-LOW, HIGH = np.array([0.7, 0.65]), np.array([2.3, 1.85])
+MOVED_PILLARS = ((1.5, 0.2), (2.8, 1.2), (0.2, 2.2), (1.2, 2.3))
+LOW_CORNER, HIGH_CORNER = np.array([0.7, 0.65]), np.array([2.3, 1.85])
 """Corners of the floor that is driven [m]."""
 
 
@@ -44,7 +44,7 @@ class Room:
     def _photograph(self, x: float, y: float, yaw: float, rays: np.ndarray) -> np.ndarray:
         c, s = np.cos(yaw), np.sin(yaw)
         ray = np.stack([c * rays[..., 0] - s * rays[..., 1], s * rays[..., 0] + c * rays[..., 1], rays[..., 2]], -1)
-        eye, low = np.array([x, y, 0.0]), np.array([0.0, 0.0, -BELOW_M])
+        eye, low = np.array([x, y, 0.0]), np.array([0.0, 0.0, -CAMERA_DEPTH_M])
         wall = np.where(ray > 0.0, SIZE_M - eye, low - eye) / np.where(np.abs(ray) > 1e-9, ray, 1e-9)
         far = wall.min(axis=-1)
         picture = self._paint(eye + far[..., None] * ray)
@@ -68,13 +68,13 @@ def drive(
     segments: int,
     seed: int,
     lean: tuple[float, float] = (0.0, 0.0),
-    high: np.ndarray = HIGH,
+    high: np.ndarray = HIGH_CORNER,
 ) -> Recording:
     """A recording of a drive between places up to ``high`` with a turn in place at each; ``like`` has its manifest."""
     rng, pose, readings, turned, turns = np.random.default_rng(seed), [], [], [], []
-    here, way = LOW, 0.0
+    here, way = LOW_CORNER, 0.0
     for segment in range(segments):
-        target = rng.uniform(LOW, high)
+        target = rng.uniform(LOW_CORNER, high)
         length = max(np.linalg.norm(target - here), 1e-6)
         ahead, yaw = (target - here) / length, np.arctan2(*(target - here)[::-1])
         if segment:

@@ -30,12 +30,12 @@ PAGES = [
     *(page for page in sorted((ROOT / "docs").rglob("*.md")) if not str(page.relative_to(ROOT)).startswith(GENERATED)),
 ]
 BLOCK = re.compile(r"^( *)```(\S+)\n(.*?)^\1```$", re.MULTILINE | re.DOTALL)
-INCLUDED = re.compile(r"^```\{literalinclude\} (\S+\.xml)\n(?::.*\n)*", re.MULTILINE)
-NAMED = re.compile(r"(?:#|<!--) (\S+\.(?:yaml|xml|py))(?: -->)?\n")
+INCLUDED_FILE = re.compile(r"^```\{literalinclude\} (\S+\.xml)\n(?::.*\n)*", re.MULTILINE)
+NAMED_FILE = re.compile(r"(?:#|<!--) (\S+\.(?:yaml|xml|py))(?: -->)?\n")
 STAGES = ("run", "collect", "train", "evaluate")
-IMPORTED = "runs/my_drive"
+IMPORTED_RECORDING = "runs/my_drive"
 """A recording that a page imports."""
-FREE = (["source", ".venv/bin/activate"],)
+UNCHECKED_COMMANDS = (["source", ".venv/bin/activate"],)
 """What is not checked."""
 
 
@@ -62,14 +62,14 @@ class Block:
 
     def write(self, folder: Path) -> None:
         """Write the block to the file that its first line names, if it names one."""
-        if named := NAMED.match(self.text):
+        if named := NAMED_FILE.match(self.text):
             (folder / named[1]).write_text(self.text)
 
 
 def find_blocks(page: Path) -> Iterator[Block]:
     """The fenced blocks of a page and the XML files that it includes, without other directives of Sphinx."""
     written = page.read_text(encoding="utf-8")
-    text = INCLUDED.sub(lambda found: f"```xml\n{(page.parent / found[1]).read_text()}", written)
+    text = INCLUDED_FILE.sub(lambda found: f"```xml\n{(page.parent / found[1]).read_text()}", written)
     for found in BLOCK.finditer(text):
         if not found[2].startswith("{"):
             yield Block(page, text.count("\n", 0, found.start()) + 1, found[2], dedent(found[3]))
@@ -110,7 +110,7 @@ def check_command(words: Sequence[str], place: str, finished: Path) -> None:
             assert deepgps_here(name, *words, cwd=Path()).returncode == 0, place
         elif name in STAGES:
             if is_folder(words):
-                words[0] = str(finished / "recording" if words[0] == IMPORTED else finished)
+                words[0] = str(finished / "recording" if words[0] == IMPORTED_RECORDING else finished)
             parse_scenario(name, words, None)
         elif name == "study":
             arguments = parse(COMMANDS[name].find(COMMANDS[name].arguments), name, words, None)
@@ -118,7 +118,7 @@ def check_command(words: Sequence[str], place: str, finished: Path) -> None:
         else:
             parse(COMMANDS[name].find(COMMANDS[name].arguments), name, words, None)
     else:
-        assert [program, *words] in FREE, f"{place}: {program} is not known"
+        assert [program, *words] in UNCHECKED_COMMANDS, f"{place}: {program} is not known"
 
 
 def check_settings(block: Block) -> None:

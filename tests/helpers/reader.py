@@ -16,11 +16,11 @@ import yaml
 from deepgps.config.plain_yaml import read_yaml
 from tests.helpers.command import MINI, deepgps_here, read_line, started
 from tests.helpers.live_server import serve_grpc
-from tests.helpers.pages import IMPORTED, ROOT, STAGES, Block, check_block, is_folder
+from tests.helpers.pages import IMPORTED_RECORDING, ROOT, STAGES, Block, check_block, is_folder
 
-SMALL = "mini.yaml"
+SMALL_SCENARIO = "mini.yaml"
 """The scenario that every long run becomes."""
-SMALLER = ("--drive.samples", "60", "--learn.train.steps", "20", "--learn.fold.restarts", "0")
+SMALL_OVERRIDES = ("--drive.samples", "60", "--learn.train.steps", "20", "--learn.fold.restarts", "0")
 """Settings of runs with settings of their own, which cannot be copies of the finished run."""
 IN_USE = "--deployment.drive-samples"
 """The length of a drive in use, which becomes a small one."""
@@ -67,8 +67,8 @@ class Reader:
     done: dict[tuple[str, ...], Path | None] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        (self.folder / SMALL).write_text(MINI)
-        self.done["run", SMALL] = self.finished
+        (self.folder / SMALL_SCENARIO).write_text(MINI)
+        self.done["run", SMALL_SCENARIO] = self.finished
 
     def follow(self, block: Block) -> None:
         """Do what a block says; raises AssertionError, or what its code raises."""
@@ -105,20 +105,20 @@ class Reader:
         Where no page looks at the run, only its recording is made, which is where faults and sensors act.
         """
         if not is_folder(words):
-            words[0] = SMALL
+            words[0] = SMALL_SCENARIO
         if take(words, "--live") is not None:
             with serve_grpc("--serve-grpc") as (address, _):  # a viewer without a window
                 out = f"runs/live-{len(self.done)}"
-                return self.call([stage, *words, *SMALLER, "--live", address, "--out", out], place)
+                return self.call([stage, *words, *SMALL_OVERRIDES, "--live", address, "--out", out], place)
         out = take(words, "--out")
         if out is None and is_folder(words):
             return self.call([stage, *words], place)  # the folder itself is changed
         if out is None and "--methods" not in words:
             stage = "collect"
-        if words[0] == IMPORTED:
-            words += SMALLER[2:]
-        elif words != [SMALL] and not is_folder(words):
-            words += SMALLER
+        if words[0] == IMPORTED_RECORDING:
+            words += SMALL_OVERRIDES[2:]
+        elif words != [SMALL_SCENARIO] and not is_folder(words):
+            words += SMALL_OVERRIDES
         if IN_USE in words:
             words += (IN_USE, "30")
         key = (stage, *words)
@@ -143,7 +143,12 @@ class Reader:
         if path.endswith(".yaml"):
             values = dict(read_yaml(Path(path)))
             axes = {name: list(some)[:2] for name, some in values.get("axes", {}).items()}
-            small = {"scenario": SMALL, "methods": values["methods"][:1], "axes": axes, "report": values["report"]}
+            small = {
+                "scenario": SMALL_SCENARIO,
+                "methods": values["methods"][:1],
+                "axes": axes,
+                "report": values["report"],
+            }
             Path("small_study.yaml").write_text(yaml.safe_dump(small))
 
     def view(self, words: Sequence[str], place: str) -> None:

@@ -27,7 +27,7 @@ RADIUS_M, TRACK_M, TICK = 0.033, 0.16, 2 * np.pi / 4096
 LENGTHS_M = (0.5, 0.7, 0.4, 0.6, 0.5, 0.7)
 TURNS = (2.0, -1.5, 2.5, 1.8, -2.2)
 SPEED_MPS, RATE_RPS, REST_S, STEP_S = 0.22, 1.5, 0.6, 0.005
-WIDTH, HEIGHT, FOCAL_PX, CEILING_M, WIDEST = 96, 80, 32.0, 1.6, np.radians(68.0)
+WIDTH, HEIGHT, FOCAL_PX, CEILING_M, MAX_ANGLE = 96, 80, 32.0, 1.6, np.radians(68.0)
 START_NS = 1_700_000_000_000_000_000
 JOINT_STATE, IMAGE, COMPRESSED, INFO, POSE, RANGE = (
     f"sensor_msgs/msg/{name}" if name != "PoseStamped" else "geometry_msgs/msg/PoseStamped"
@@ -103,9 +103,9 @@ def _rays() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Where on the ceiling each pixel looks: ahead and left [m], and whether it looks anywhere."""
     column, row = np.meshgrid(np.arange(WIDTH) - (WIDTH - 1) / 2, np.arange(HEIGHT) - (HEIGHT - 1) / 2)
     theta = np.hypot(column, row) / FOCAL_PX
-    away = CEILING_M * np.tan(np.minimum(theta, WIDEST))
+    away = CEILING_M * np.tan(np.minimum(theta, MAX_ANGLE))
     azimuth = np.arctan2(column, -row)  # the image's top is ahead, its right is the robot's left
-    return away * np.cos(azimuth), away * np.sin(azimuth), theta <= WIDEST
+    return away * np.cos(azimuth), away * np.sin(azimuth), theta <= MAX_ANGLE
 
 
 def draw(pose: np.ndarray) -> np.ndarray:

@@ -23,14 +23,14 @@ TITLES: dict[Names, str] = {
     **{tuple(f"encoder.{name}" for name in fault.settings): fault.title for fault in FAULTS},
     (WHEEL_ERROR,): "left wheel larger by this part: the robot curves",
 }
-GOOD_M = (0.02, 0.05)  # Errors that count as good enough, for two kinds of builders [m]
+NEARNESS_M = (0.02, 0.05)  # Errors that count as good enough, for two kinds of builders [m]
 GOOD_SHARE = 0.8  # The part of the test positions whose errors must be good enough
 NOTE = (
     f"The strongest fault at which at least {100 * GOOD_SHARE:g} % of the test positions, each at its worst heading, "
     "are still within this distance of the truth (mean over seeds) is enough. RMS is not the criterion, since it is "
     "dominated by a few positions with large errors that no encoder can reduce.\n\n"
     "RMS in centimetres for the worst heading of each test position: mean, minimum and maximum over seeds. Near: share "
-    f"of the test positions with errors within {100 * GOOD_M[0]:g} cm. Aligned on training samples, never scaled. "
+    f"of the test positions with errors within {100 * NEARNESS_M[0]:g} cm. Aligned on training samples, never scaled. "
     "Segment: RMS error of the lengths of complete segments, measured and predicted by theory (rounding is uniform "
     "within a tick; the error from w grows with the root of the number of gaps, slip with the root of the distance "
     "travelled, a radius error in proportion to it; a stuck encoder halves the distance). The error that remains "
@@ -74,7 +74,7 @@ def find_sweeps(rows: Sequence[Row], varied: Sequence[str]) -> list[Row]:
             excess = None if row["scale"] is None else row["scale"] - 1.0
             sweeps.append({**row, "sweep": title, "map_too_large": excess})
         for method, group in split_by(grown if names in alone else (), "method").items():
-            for near in GOOD_M:
+            for near in NEARNESS_M:
                 strongest = find_strongest(near, group, TICKS in names)
                 borne.append({"sweep": title, "near": near, "method": method, "strongest": strongest})
     return [*borne, *sweeps]
@@ -158,16 +158,16 @@ _ERRORS = Curves(
 _GOOD_SHARES = Curves(
     "sweep",
     "value",
-    of=name_near(GOOD_M[0]),
-    unit=f"positions within {100 * GOOD_M[0]:g} cm [%]",
+    of=name_near(NEARNESS_M[0]),
+    unit=f"positions within {100 * NEARNESS_M[0]:g} cm [%]",
     lines={"enough": "good enough"},
     even=True,
     where=_SINGLE_FAULTS,
 )
 _SWEEPS = Table(
     "value method",
-    f"rms_m rms_m:min rms_m:max {name_near(GOOD_M[0])} segment_rms_m segment_expected_m map_too_large wrong_doubted "
-    "segments_wrong",
+    f"rms_m rms_m:min rms_m:max {name_near(NEARNESS_M[0])} segment_rms_m segment_expected_m map_too_large "
+    "wrong_doubted segments_wrong",
     {"near": None},
     section="sweep",
 )
@@ -177,7 +177,7 @@ REPORTS = {
         (
             *(
                 Table("sweep", "", {"near": near}, None, _CHOICE.format(100 * near), across="method", each="strongest")
-                for near in GOOD_M
+                for near in NEARNESS_M
             ),
             _SWEEPS,
         ),

@@ -16,7 +16,7 @@ from deepgps.positioner.positioner import Positioner
 from deepgps.positioner.stored_positioner import load_positioner
 from deepgps.reports.plots import add_scale, print_error_field
 from deepgps.reports.run_report import read_metrics
-from deepgps.studies.reports.encoder import GOOD_M, name_near
+from deepgps.studies.reports.encoder import NEARNESS_M, name_near
 from deepgps.studies.reports.maps import BINS, EDGES, SHAPE
 from deepgps.studies.reports.record import PAPERS_ERRORS
 from deepgps.studies.table import Row, split_by
@@ -29,7 +29,7 @@ TURNED_IMAGES = 30
 def add_errors(run: Path, row: Row) -> Row:
     """Columns for the part of test positions with small errors, errors of complete segments, and doubted segments."""
     error = read_fields(run)[row["method"]].error
-    near = {name_near(near): float(np.mean(error <= near)) for near in GOOD_M}
+    near = {name_near(near): float(np.mean(error <= near)) for near in NEARNESS_M}
     return {**near, **read_metrics(run)["distances"]}
 
 

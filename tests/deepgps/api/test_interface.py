@@ -10,13 +10,13 @@ import pytest
 
 import deepgps
 
-HEAVY = {"numpy", "torch", "mujoco", "rerun", "pydantic", "pyarrow", "matplotlib"}
+HEAVY_PACKAGES = {"numpy", "torch", "mujoco", "rerun", "pydantic", "pyarrow", "matplotlib"}
 
 
 def test_importing_takes_no_time_and_loads_nothing_heavy():
     code = (
         "import sys, time; start = time.process_time(); import deepgps; deepgps.__version__; "
-        f"print(time.process_time() - start, *sorted({HEAVY} & set(sys.modules)))"
+        f"print(time.process_time() - start, *sorted({HEAVY_PACKAGES} & set(sys.modules)))"
     )
     seconds, *loaded = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True

@@ -28,7 +28,7 @@ from tests.helpers.small_study import SCENARIO, finish, start, write_study
 
 EXAMPLES = Path(__file__).parents[3] / "docs" / "examples"
 METHOD, FAULT = EXAMPLES / "own_method.py", EXAMPLES / "own_encoder_fault.py"
-WARM = {"encoder.plugins.warming": 0.1}
+WARM_SETTINGS = {"encoder.plugins.warming": 0.1}
 ANGLE = np.cumsum(np.random.default_rng(0).uniform(0.0, 1.0, (400, 2)), axis=0)
 
 
@@ -98,7 +98,7 @@ def test_runs_without_plugins_keep_their_hash_whatever_is_loaded():
 def test_a_method_changes_the_run_s_hash_and_a_fault_the_recording_s_as_well():
     load_plugins([METHOD, FAULT])
     plain = load_scenario("tiny", {})
-    method, fault = load_scenario("tiny", {"methods": ["nearest_image"]}), load_scenario("tiny", WARM)
+    method, fault = load_scenario("tiny", {"methods": ["nearest_image"]}), load_scenario("tiny", WARM_SETTINGS)
     assert len({digest(one) for one in (plain, method, fault)}) == 3
     assert digest_recording(method) == digest_recording(plain) != digest_recording(fault)
     assert "own_" not in write_out(method) + write_out(fault), "no path, since a scenario.yaml is passed on"
@@ -106,7 +106,7 @@ def test_a_method_changes_the_run_s_hash_and_a_fault_the_recording_s_as_well():
 
 def test_a_run_can_be_opened_without_its_plugin_but_not_continued(tmp_path: Path):
     load_plugins([METHOD, FAULT])
-    scenario = load_scenario("tiny", {"methods": ["nearest_image"], **WARM})
+    scenario = load_scenario("tiny", {"methods": ["nearest_image"], **WARM_SETTINGS})
     with claim(scenario, tmp_path / "run", False) as place:
         (place / "metrics.json").write_text("{}")
     METHODS.pop("nearest_image")

@@ -44,7 +44,7 @@ from tests.helpers.made_once import make_once
 from tests.helpers.toy import QUICK
 
 CAMERA = CameraSettings(rings=16, sectors=64, face_px=32)
-TRAINED, KNOCKED = (6.0, -3.0), (9.0, -3.0)
+TRAINING_LEAN, KNOCK = (6.0, -3.0), (9.0, -3.0)
 
 
 @pytest.fixture(scope="module")
@@ -54,8 +54,8 @@ def leaning(small_settings: SimSettings, tmp_path_factory: pytest.TempPathFactor
         "camera": CAMERA,
         "drive": DriveSettings(samples=200),
         "grid": GridSettings(spacing_m=0.6, headings=2),
-        "camera_mount": CameraMountSettings(roll_deg=TRAINED[0], pitch_deg=TRAINED[1]),
-        "deployment": DeploymentSettings(drive_samples=80, camera_mount=DeploymentMountSettings(roll_deg=KNOCKED[0])),
+        "camera_mount": CameraMountSettings(roll_deg=TRAINING_LEAN[0], pitch_deg=TRAINING_LEAN[1]),
+        "deployment": DeploymentSettings(drive_samples=80, camera_mount=DeploymentMountSettings(roll_deg=KNOCK[0])),
     }
 
     def make(folder: Path) -> None:
@@ -77,10 +77,10 @@ def drive_in_use(leaning: Recording) -> Recording:
 def test_the_lean_of_training_and_that_in_use_are_found(leaning: Recording, drive_in_use: Recording):
     upright = measure_turns(leaning).upright
     assert upright is not None and ignore_small(upright) == upright
-    np.testing.assert_allclose(np.degrees(upright.lean), TRAINED, atol=0.3)
+    np.testing.assert_allclose(np.degrees(upright.lean), TRAINING_LEAN, atol=0.3)
     adapted, in_use = adapt_upright(upright, drive_in_use)
     assert in_use is not None and adapted.lean == in_use
-    np.testing.assert_allclose(np.degrees(in_use), KNOCKED, atol=0.6)
+    np.testing.assert_allclose(np.degrees(in_use), KNOCK, atol=0.6)
 
 
 @pytest.mark.slow
@@ -105,7 +105,7 @@ def test_a_lean_too_small_to_matter_changes_no_image(small_recording: Path, tmp_
 def test_a_camera_that_was_not_knocked_keeps_the_correction_of_training(
     small_recording: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    drive, lean = open_recording(small_recording), np.radians(KNOCKED)
+    drive, lean = open_recording(small_recording), np.radians(KNOCK)
     seen = SeenTurns(cast(Hypotheses, None), set_lean(lean))
     monkeypatch.setattr("deepgps.data.turns.compare_images", lambda *_: seen)
     for off_deg, kept in ((0.05, True), (0.2, False)):
@@ -115,7 +115,7 @@ def test_a_camera_that_was_not_knocked_keeps_the_correction_of_training(
 
 
 def test_too_few_turns_in_use_leave_the_lean_of_training(small_recording: Path):
-    upright, drive = set_lean(np.radians(TRAINED)), open_recording(small_recording)
+    upright, drive = set_lean(np.radians(TRAINING_LEAN)), open_recording(small_recording)
     turns = drive.turns
     assert turns is not None
     few = replace(drive, turns=Turns(*turns.array[find_in_place(turns)[: LAST_TURNS - 1]].T))
@@ -139,7 +139,7 @@ def test_a_positioner_sets_raw_images_upright_as_in_training_and_in_use_by_the_l
     np.testing.assert_array_equal(positioner(images), upright)
     assert not np.allclose(replace(positioner, upright=None)(images), upright, atol=1e-3)
     adapted, lean = adapt(positioner, drive_in_use)
-    assert lean["lean_roll_deg"] == pytest.approx(KNOCKED[0], abs=0.6)
+    assert lean["lean_roll_deg"] == pytest.approx(KNOCK[0], abs=0.6)
     assert isinstance(adapted, NetworkPositioner) and adapted.upright != positioner.upright
     knocked = predict(folder, leaning, drive_in_use).poses.position
     cells, headings = leaning.test_observation.shape[:2]

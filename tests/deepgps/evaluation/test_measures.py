@@ -36,27 +36,27 @@ def test_gaps_in_the_grid_are_left_out_and_order_does_not_matter():
     assert measure_flipped(TRUTH[:1], TRUTH[:1], SPACING_M) == 0.0
 
 
-SCATTERED = np.random.default_rng(1).uniform([0.0, 0.0], [4.0, 3.0], (8000, 2))
+SCATTERED_PLACES = np.random.default_rng(1).uniform([0.0, 0.0], [4.0, 3.0], (8000, 2))
 
 
 def test_a_patch_that_is_turned_over_has_its_area_and_small_errors_turn_none():
     for radius_m in (0.3, 0.5):
-        away = SCATTERED - [2.0, 1.5]
+        away = SCATTERED_PLACES - [2.0, 1.5]
         inside = np.linalg.norm(away, axis=1) < radius_m
-        positions = np.where(inside[:, None], [2.0, 1.5] + away * [-1.0, 1.0], SCATTERED)
-        found = measure_flipped_patch(SCATTERED, positions)
+        positions = np.where(inside[:, None], [2.0, 1.5] + away * [-1.0, 1.0], SCATTERED_PLACES)
+        found = measure_flipped_patch(SCATTERED_PLACES, positions)
         assert found == pytest.approx(np.pi * radius_m**2, abs=2 * np.pi * radius_m * 0.1), "a cell wide at its edge"
-    noise = np.random.default_rng(2).normal(0.0, 0.01, SCATTERED.shape)
-    assert measure_flipped_patch(SCATTERED, SCATTERED + noise) == 0.0
-    assert measure_flipped_patch(SCATTERED[:1], SCATTERED[:1]) == 0.0
+    noise = np.random.default_rng(2).normal(0.0, 0.01, SCATTERED_PLACES.shape)
+    assert measure_flipped_patch(SCATTERED_PLACES, SCATTERED_PLACES + noise) == 0.0
+    assert measure_flipped_patch(SCATTERED_PLACES[:1], SCATTERED_PLACES[:1]) == 0.0
 
 
 def test_the_largest_of_several_patches_counts_and_not_their_sum():
-    positions = SCATTERED.copy()
+    positions = SCATTERED_PLACES.copy()
     for centre, radius_m in (([1.0, 1.5], 0.4), ([3.0, 1.5], 0.4)):
-        away = SCATTERED - centre
+        away = SCATTERED_PLACES - centre
         positions = np.where(np.linalg.norm(away, axis=1)[:, None] < radius_m, centre + away * [1.0, -1.0], positions)
-    assert 0.3 < measure_flipped_patch(SCATTERED, positions) < 0.8
+    assert 0.3 < measure_flipped_patch(SCATTERED_PLACES, positions) < 0.8
 
 
 def test_the_spread_is_that_of_a_loop_over_positions_and_headings():

@@ -277,7 +277,7 @@ def test_a_machine_out_of_memory_keeps_the_checkpoint(tmp_path: Path, monkeypatc
 
 
 needs_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
-KNOWN = torch.tensor([[0.1, 0.2], [float("nan")] * 2]).repeat(10, 1)
+PLACES = torch.tensor([[0.1, 0.2], [float("nan")] * 2]).repeat(10, 1)
 DEFAULT = LearnSettings()
 PAPER = LearnSettings(loss="normalised", straight=0.0)
 LOSSES: dict[str, Callable[[str], Loss]] = {
@@ -285,7 +285,7 @@ LOSSES: dict[str, Callable[[str], Loss]] = {
     "ours": lambda device: segment_loss(DEFAULT, losses.weigh_equally),
     "arcs": lambda device: segment_loss(DEFAULT, losses.weigh_equally, curvature=0.01),
     "noise": lambda device: segment_loss(DEFAULT, weigh_by_noise(1e-6)),
-    "imitation": lambda device: imitate_first(segment_loss(DEFAULT, losses.weigh_equally), KNOWN.to(device), 0.03),
+    "imitation": lambda device: imitate_first(segment_loss(DEFAULT, losses.weigh_equally), PLACES.to(device), 0.03),
 }
 
 

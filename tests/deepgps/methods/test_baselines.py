@@ -22,8 +22,8 @@ from sim.recording.format import Recording, open_recording, open_truth
 from sim.settings import DriveSettings, GridSettings, LidarSettings, SimSettings
 from tests.helpers.toy import QUICK, make_toy
 
-WHOLE = LearnSettings.model_validate(QUICK)
-SHORT = WHOLE.model_copy(update={"train": WHOLE.train.model_copy(update={"steps": 120})})
+WHOLE_LEARNING = LearnSettings.model_validate(QUICK)
+SHORT_LEARNING = WHOLE_LEARNING.model_copy(update={"train": WHOLE_LEARNING.train.model_copy(update={"steps": 120})})
 LIDAR = SimSettings(
     world="obstacles",
     lidar=LidarSettings(rays=64, headings=4),
@@ -54,7 +54,7 @@ def nearest(scans: Recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def measure(
-    method: str, recording: Recording, folder: Path, align: bool = False, learn: LearnSettings = SHORT
+    method: str, recording: Recording, folder: Path, align: bool = False, learn: LearnSettings = SHORT_LEARNING
 ) -> float:
     """RMS error of a method where it is tested, in the world's frame or after alignment [m]."""
     positioner, truth = fit_method(method, recording, learn, 0, folder / method), open_truth(recording.folder)
@@ -70,9 +70,9 @@ def test_true_positions_are_learned_in_the_frame_of_the_world(toy: Recording, tm
 
 @pytest.mark.slow
 def test_longer_trainings_are_as_exact_as_their_labels(toy: Recording, tmp_path: Path):
-    assert measure("posenet", toy, tmp_path, learn=WHOLE) < 0.05
-    assert measure("posenet_noisy", toy, tmp_path, learn=WHOLE) < 0.06
-    assert measure("dead_reckoned_labels", toy, tmp_path, align=True, learn=WHOLE) < 0.06
+    assert measure("posenet", toy, tmp_path, learn=WHOLE_LEARNING) < 0.05
+    assert measure("posenet_noisy", toy, tmp_path, learn=WHOLE_LEARNING) < 0.06
+    assert measure("dead_reckoned_labels", toy, tmp_path, align=True, learn=WHOLE_LEARNING) < 0.06
 
 
 def test_noisy_labels_are_off_by_what_was_asked_and_the_same_for_one_seed(

@@ -30,7 +30,7 @@ from tests.helpers.toy import QUICK, make_toy
 
 SETTINGS = LearnSettings.model_validate(QUICK)
 STEPS = 120
-SHORT = SETTINGS.model_copy(update={"train": SETTINGS.train.model_copy(update={"steps": STEPS})})
+SHORT_SETTINGS = SETTINGS.model_copy(update={"train": SETTINGS.train.model_copy(update={"steps": STEPS})})
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +41,7 @@ def toy(tmp_path_factory: pytest.TempPathFactory) -> Recording:
 @pytest.fixture(scope="module")
 def trained(toy: Recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("trained") / "deepgps"
-    fit_method("deepgps", toy, SHORT, 0, folder)
+    fit_method("deepgps", toy, SHORT_SETTINGS, 0, folder)
     return folder
 
 
@@ -53,7 +53,7 @@ def measure(positioner: Positioner, recording: Recording) -> np.ndarray:
 
 
 def test_it_finds_positions_from_distances_alone(toy: Recording, trained: Path):
-    error = measure(fit_method("deepgps", toy, SHORT, 0, trained, cut_at(1)), toy)  # done work is not repeated
+    error = measure(fit_method("deepgps", toy, SHORT_SETTINGS, 0, trained, cut_at(1)), toy)  # done work is not repeated
     assert np.sqrt(np.mean(error**2)) < 0.1
     training = read_training(trained)
     assert training["steps"] == STEPS and training["attempts"] == 1 and not training["fold"]["found"]
@@ -72,7 +72,7 @@ def test_what_a_killed_training_left_beside_finished_work_is_cleared_away(toy: R
     for path in theirs:
         path.parent.mkdir(parents=True)
         path.write_text("a user's")
-    fit_method("deepgps", toy, SHORT, 0, trained)
+    fit_method("deepgps", toy, SHORT_SETTINGS, 0, trained)
     assert not (trained / "attempt0").exists()
     assert [path.read_text() for path in theirs] == ["a user's"] * 3
 
@@ -81,7 +81,7 @@ def test_the_truth_is_never_opened(toy: Recording, trained: Path, tmp_path: Path
     shutil.copytree(toy.folder, tmp_path / "blind")
     shutil.rmtree(tmp_path / "blind" / "truth")
     blind = Recording(tmp_path / "blind", toy.manifest, toy.observation, toy.reading, toy.time, toy.test_observation)
-    fit_method("deepgps", blind, SHORT, 0, tmp_path / "run" / "deepgps")
+    fit_method("deepgps", blind, SHORT_SETTINGS, 0, tmp_path / "run" / "deepgps")
     weights = (tmp_path / "run" / "deepgps" / "weights.safetensors").read_bytes()
     assert weights == (trained / "weights.safetensors").read_bytes()
 
@@ -107,8 +107,8 @@ def test_cut_off_it_continues_to_the_same_bytes(toy: Recording, trained: Path, t
     folder = tmp_path / "run" / "deepgps"
     for step in (60, 110):
         with pytest.raises(Cut):
-            fit_method("deepgps", toy, SHORT, 0, folder, cut_at(step))
-    fit_method("deepgps", toy, SHORT, 0, folder)
+            fit_method("deepgps", toy, SHORT_SETTINGS, 0, folder, cut_at(step))
+    fit_method("deepgps", toy, SHORT_SETTINGS, 0, folder)
     for name in ("weights.safetensors", "history.npz", "positioner.json"):
         assert (folder / name).read_bytes() == (trained / name).read_bytes()
     assert not list(folder.glob("attempt*"))

@@ -37,7 +37,7 @@ METHODS_OF = {
     "obstacles": ("deepgps", "pca_knn"),
     "landmarks": ("explicit", "explicit_mds"),
 }
-ALIKE = "all 74 observations look alike"
+ALIKE_MESSAGE = "all 74 observations look alike"
 
 
 def keep_readings(arrays: Arrays, kept: np.ndarray) -> None:
@@ -150,8 +150,8 @@ CASES = [
     (drive_one_segment, ""),
     (read_twice, ""),
     (read_each_segment_once, "no segment has two readings"),
-    (see_nothing, ALIKE),
-    (see_the_same, ALIKE),
+    (see_nothing, ALIKE_MESSAGE),
+    (see_the_same, ALIKE_MESSAGE),
     (see_nothing_in_use, ""),
     (see_nothing_half_of_the_time, ""),
     (see_two, ""),

@@ -30,7 +30,7 @@ from sim.sensors.camera.lens import Lens
 from sim.sensors.camera.mount import Upright
 from sim.sensors.camera.unwrap import RoundImage, unwrap_fisheye
 
-TURNED = Alignment(np.array([[0.6, 0.8], [0.8, -0.6]]), np.array([2.0, -1.0]), 1.0)
+MIRRORING = Alignment(np.array([[0.6, 0.8], [0.8, -0.6]]), np.array([2.0, -1.0]), 1.0)
 """Into a mirrored frame."""
 RAW = RoundImage((60.0, 58.0), 50.0, 20.0)
 
@@ -83,16 +83,16 @@ def images(run: deepgps.Run) -> np.ndarray:
 @pytest.fixture(scope="module")
 def exported(leaning: NetworkPositioner, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("onnx")
-    write_onnx(folder, "deepgps", leaning, TURNED, RAW)
+    write_onnx(folder, "deepgps", leaning, MIRRORING, RAW)
     return folder
 
 
 def test_the_module_gives_the_poses_of_the_positioner(leaning: NetworkPositioner, images: np.ndarray):
     assert leaning.upright is not None
-    module = Deployed(leaning, TURNED).eval()
+    module = Deployed(leaning, MIRRORING).eval()
     with torch.inference_mode():
         found = module(torch.from_numpy(leaning.upright(images)))
-    assert_alike({name: part.numpy() for name, part in found.items()}, find_poses(leaning, images).align(TURNED))
+    assert_alike({name: part.numpy() for name, part in found.items()}, find_poses(leaning, images).align(MIRRORING))
 
 
 def test_features_in_the_module_are_those_of_the_method():
@@ -113,7 +113,7 @@ def test_the_example_finds_the_same_poses_of_polar_and_raw_images(
 ):
     locator = load_example(exported).Locator()
     found = [locator.locate(image) for image in images]
-    expected = find_poses(leaning, images).align(TURNED)
+    expected = find_poses(leaning, images).align(MIRRORING)
     assert_alike({name: np.stack([one[name] for one in found]) for name in found[0]}, expected)
     assert leaning.upright is not None
     together = locator.model.run(["position"], {"image": leaning.upright(images)})[0]

@@ -22,8 +22,8 @@ from sim.files.checksums import write_json
 
 SCENARIO = Scenario(world="landmarks", methods=("knn",))
 OTHER = Scenario(world="landmarks", methods=("posenet",))
-OURS = ("recording/reading.npy", "knn/weights.safetensors", "metrics.json", "figures/drive.png")
-MINE = ("notes.txt", "figures/mine.png", "knn/notes.txt", "movie.part", "a.1.part", "recording/data.csv", "study.yaml")
+OUR_FILES = ("recording/reading.npy", "knn/weights.safetensors", "metrics.json", "figures/drive.png")
+DATA = ("notes.txt", "figures/mine.png", "knn/notes.txt", "movie.part", "a.1.part", "recording/data.csv", "study.yaml")
 NAMES = (
     *("scenario.yaml", "study.yaml", "metrics.json", "recording", "deepgps", "figures", "movie.part", "x.123.part"),
     *(".lock", "complete.json", "rooms.png", "table.md", "thesis.txt", "run", "weights.safetensors"),
@@ -33,7 +33,7 @@ WORDS = (
     *("run landmarks", "collect tiny", "train landmarks", "evaluate lidar", "study noise_w", "study mds --tiny"),
     *("rooms --kinds lab --seeds 0", "view", "run scenario.yaml", "study study.yaml", "run nothing"),
 )
-MORE = ("--fresh", "--room.mjcf typo.xml", "--room.seed -1", "--nonsense 1", "--methods", "--seeds x", "--port 9")
+ARGS = ("--fresh", "--room.mjcf typo.xml", "--room.seed -1", "--nonsense 1", "--methods", "--seeds x", "--port 9")
 
 
 def remember(folder: Path) -> dict[str, bytes]:
@@ -47,7 +47,7 @@ def remember(folder: Path) -> dict[str, bytes]:
 
 def make_run(folder: Path, scenario: Scenario = SCENARIO, text: str = "old") -> None:
     with claim(scenario, folder, fresh=False) as place:
-        write_files(place, OURS, text)
+        write_files(place, OUR_FILES, text)
 
 
 def write_files(folder: Path, names: tuple[str, ...], text: str) -> None:
@@ -77,16 +77,16 @@ def kill_at(number: int, monkeypatch: pytest.MonkeyPatch) -> Callable[[], bool]:
 
 def test_fresh_replaces_a_run_and_leaves_the_user_s_files(tmp_path: Path):
     make_run(tmp_path)
-    write_files(tmp_path, MINE, "mine")
+    write_files(tmp_path, DATA, "mine")
     with claim(OTHER, tmp_path, fresh=True) as place:
         assert place != tmp_path
-        write_files(place, OURS[:2], "new")
-        assert {(tmp_path / name).read_text() for name in OURS} == {"old"}
+        write_files(place, OUR_FILES[:2], "new")
+        assert {(tmp_path / name).read_text() for name in OUR_FILES} == {"old"}
     assert open_run(tmp_path) == OTHER
     found = remember(tmp_path)
-    assert {found[name] for name in OURS[:2]} == {b"new"}
-    assert {found[name] for name in MINE} == {b"mine"}
-    assert set(found) == {*MINE, *OURS[:2], MARK, "scenario.yaml"}
+    assert {found[name] for name in OUR_FILES[:2]} == {b"new"}
+    assert {found[name] for name in DATA} == {b"mine"}
+    assert set(found) == {*DATA, *OUR_FILES[:2], MARK, "scenario.yaml"}
 
 
 @pytest.mark.parametrize("number", range(1, 14))
@@ -94,45 +94,45 @@ def test_fresh_killed_anywhere_leaves_the_old_run_or_the_new_one(
     number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     make_run(tmp_path)
-    write_files(tmp_path, MINE, "mine")
+    write_files(tmp_path, DATA, "mine")
     with monkeypatch.context() as patch:
         killed = kill_at(number, patch)
         try:
             with claim(SCENARIO, tmp_path, fresh=True) as place:
-                write_files(place, OURS[:3], "new")
+                write_files(place, OUR_FILES[:3], "new")
         except KeyboardInterrupt:
             pass
         assert killed()
     found = remember(tmp_path)
-    assert {found[name] for name in MINE} == {b"mine"}
+    assert {found[name] for name in DATA} == {b"mine"}
     if not (tmp_path / FRESH_FOLDER / owned_folder.COMPLETION_FILE).is_file():
-        assert {found[name] for name in OURS} in ({b"old"}, {b"new"})
+        assert {found[name] for name in OUR_FILES} in ({b"old"}, {b"new"})
     with claim(SCENARIO, tmp_path, fresh=True) as place:  # the same command again
         if place != tmp_path:
-            write_files(place, OURS[:3], "new")
+            write_files(place, OUR_FILES[:3], "new")
     found = remember(tmp_path)
-    assert {found[name] for name in OURS[:3]} == {b"new"}
-    assert {found[name] for name in MINE} == {b"mine"}
-    assert set(found) == {*MINE, *OURS[:3], MARK, "scenario.yaml"}
+    assert {found[name] for name in OUR_FILES[:3]} == {b"new"}
+    assert {found[name] for name in DATA} == {b"mine"}
+    assert set(found) == {*DATA, *OUR_FILES[:3], MARK, "scenario.yaml"}
 
 
 def test_a_killed_fresh_continues_what_it_had_built(tmp_path: Path):
     make_run(tmp_path)
     with pytest.raises(KeyboardInterrupt), claim(SCENARIO, tmp_path, fresh=True) as place:
-        write_files(place, OURS[:1], "new")
+        write_files(place, OUR_FILES[:1], "new")
         raise KeyboardInterrupt
     with claim(SCENARIO, tmp_path, fresh=True) as place:
-        assert (place / OURS[0]).read_text() == "new"
-    assert (tmp_path / OURS[0]).read_text() == "new"
+        assert (place / OUR_FILES[0]).read_text() == "new"
+    assert (tmp_path / OUR_FILES[0]).read_text() == "new"
 
 
 def test_a_killed_fresh_of_another_scenario_is_not_continued(tmp_path: Path):
     make_run(tmp_path)
     with pytest.raises(KeyboardInterrupt), claim(OTHER, tmp_path, fresh=True) as place:
-        write_files(place, OURS[:1], "new")
+        write_files(place, OUR_FILES[:1], "new")
         raise KeyboardInterrupt
     with claim(SCENARIO, tmp_path, fresh=True) as place:
-        assert not (place / OURS[0]).exists()
+        assert not (place / OUR_FILES[0]).exists()
     assert open_run(tmp_path) == SCENARIO
 
 
@@ -222,7 +222,7 @@ def test_every_byte_of_a_user_s_survives_every_command(
         words.append(rng.choice(places))
     else:
         words += ["--out", rng.choice(places)]
-    words += [word for more in rng.sample(MORE, rng.randint(0, 2)) for word in more.split()]
+    words += [word for more in rng.sample(ARGS, rng.randint(0, 2)) for word in more.split()]
     # Whatever gets as far as to work is stopped there: this is about what happens before, and on the way out.
     monkeypatch.setattr("deepgps.run.collect", stop)
     monkeypatch.setattr("deepgps.studies.engine.engine.carry_out", stop)
@@ -283,12 +283,12 @@ def test_fresh_over_a_link_to_a_recording_elsewhere_never_writes_through_it(
         if number is not None:
             kill_at(number, patch)
         with claim(OTHER, run, fresh=True) as place:
-            write_files(place, OURS[:1], "new")
+            write_files(place, OUR_FILES[:1], "new")
     assert remember(robot) == before
     with claim(OTHER, run, fresh=True) as place:
-        write_files(place, OURS[:1], "new")
+        write_files(place, OUR_FILES[:1], "new")
     assert remember(robot) == before
-    assert not (run / "recording").is_symlink() and (run / OURS[0]).read_text() == "new"
+    assert not (run / "recording").is_symlink() and (run / OUR_FILES[0]).read_text() == "new"
 
 
 def test_fresh_puts_a_link_in_place_of_a_recording_unless_a_user_s_file_is_in_it(tmp_path: Path):
@@ -337,7 +337,7 @@ def test_a_folder_that_is_a_link_to_elsewhere_is_not_replaced_in_part(tmp_path: 
         pytest.raises(InputError, match=r"run/figures is a link or another disk; nothing was replaced: move it away"),
         claim(OTHER, tmp_path / "run", fresh=True) as place,
     ):
-        write_files(place, OURS, "new")
+        write_files(place, OUR_FILES, "new")
     assert {name: remember(tmp_path)[name] for name in before} == before
 
 
@@ -374,11 +374,11 @@ def test_a_killed_fresh_in_a_room_that_has_changed_is_not_continued(tmp_path: Pa
     scenario = Scenario.model_validate({"room": {"mjcf": str(room)}})
     make_run(run, scenario)
     with pytest.raises(KeyboardInterrupt), claim(scenario, run, fresh=True) as place:
-        write_files(place, OURS[:1], "half")
+        write_files(place, OUR_FILES[:1], "half")
         raise KeyboardInterrupt
     room.write_text("<mujoco><worldbody/></mujoco>")
     with claim(scenario, run, fresh=True) as place:
-        assert not (place / OURS[0]).exists()
+        assert not (place / OUR_FILES[0]).exists()
 
 
 def test_a_recording_that_was_made_again_is_not_mixed_with_what_was_trained_before(tmp_path: Path):

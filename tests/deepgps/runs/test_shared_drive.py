@@ -14,7 +14,7 @@ from sim.files.checksums import read_json
 from sim.recording.format import check_recording
 from tests.helpers.command import deepgps_here
 
-SMALL = ("--landmarks.segments", "30", "--grid.spacing-m", "0.5", "--drive.samples", "300")
+SMALL_DRIVE = ("--landmarks.segments", "30", "--grid.spacing-m", "0.5", "--drive.samples", "300")
 FAULTS = ("--encoder.step-noise", "0.1", "--encoder.ticks-per-rev", "64", "--encoder.dropout", "0.1")
 MAKING = ("manifest.json", "scene.glb")
 
@@ -41,9 +41,9 @@ def read_files(recording: Path) -> dict[str, bytes]:
     ids=["encoder", "shorter", "both", "methods"],
 )
 def test_a_derived_drive_has_the_bytes_of_a_fresh_one(change, tmp_path, monkeypatch):
-    words = ("landmarks", *SMALL, *change)
+    words = ("landmarks", *SMALL_DRIVE, *change)
     fresh = collect(*words, "--out", "alone", home=tmp_path)
-    base = collect("landmarks", *SMALL, home=tmp_path)
+    base = collect("landmarks", *SMALL_DRIVE, home=tmp_path)
     with monkeypatch.context() as patch:
         patch.setattr("sim.planar.drive.collect", None)
         derived = collect(*words, home=tmp_path)
@@ -72,10 +72,10 @@ def test_a_room_is_derived_without_a_renderer_and_with_the_same_bytes(tmp_path, 
 
 
 def test_a_damaged_base_is_not_used(tmp_path):
-    collect("landmarks", *SMALL, home=tmp_path)
+    collect("landmarks", *SMALL_DRIVE, home=tmp_path)
     (stored,) = tmp_path.glob("runs/drives/*/*/reading.npy")
     stored.write_bytes(b"damaged")
-    done = deepgps_here("collect", "landmarks", *SMALL, *FAULTS, cwd=tmp_path)
+    done = deepgps_here("collect", "landmarks", *SMALL_DRIVE, *FAULTS, cwd=tmp_path)
     assert done.returncode == 0
     assert "the drive is made again" in done.stderr
     (again,) = tmp_path.glob("runs/drives/*/*/manifest.json")
@@ -94,9 +94,9 @@ def test_a_damaged_base_is_not_used(tmp_path):
     ],
 )
 def test_another_drive_is_no_base(first, second, tmp_path, monkeypatch):
-    collect("landmarks", *SMALL, *first, home=tmp_path)
+    collect("landmarks", *SMALL_DRIVE, *first, home=tmp_path)
     monkeypatch.chdir(tmp_path)
-    words = (*SMALL, *second)
+    words = (*SMALL_DRIVE, *second)
     overrides = {from_option(name): value for name, value in zip(words[::2], words[1::2], strict=True)}
     scenario = load_scenario("landmarks", overrides)
     assert find_base(scenario, default_folder(scenario)) is None
@@ -104,11 +104,11 @@ def test_another_drive_is_no_base(first, second, tmp_path, monkeypatch):
 
 
 def test_only_runs_of_the_same_folder_are_bases_and_fresh_drives_again(tmp_path, monkeypatch):
-    base = collect("landmarks", *SMALL, home=tmp_path)
+    base = collect("landmarks", *SMALL_DRIVE, home=tmp_path)
     monkeypatch.chdir(tmp_path)
-    own = collect("landmarks", *SMALL, *FAULTS, "--out", "elsewhere", home=tmp_path)
+    own = collect("landmarks", *SMALL_DRIVE, *FAULTS, "--out", "elsewhere", home=tmp_path)
     assert "derived_from" not in read_json(own / "manifest.json")
-    again = collect("landmarks", *SMALL, "--fresh", home=tmp_path)
+    again = collect("landmarks", *SMALL_DRIVE, "--fresh", home=tmp_path)
     assert again == base
     assert "derived_from" not in read_json(again / "manifest.json")
 
@@ -123,7 +123,7 @@ def test_a_changed_room_of_the_users_own_is_another_drive(tmp_path, monkeypatch)
 
 
 def test_the_store_is_measured_and_emptied_and_the_runs_stay(tmp_path):
-    recording = collect("landmarks", *SMALL, home=tmp_path)
+    recording = collect("landmarks", *SMALL_DRIVE, home=tmp_path)
     (tmp_path / "runs" / "drives" / "mine.txt").touch()
     assert "runs/drives: drives that later runs share" in deepgps_here("runs", cwd=tmp_path).stdout
     assert deepgps_here("runs", "--empty-drives", cwd=tmp_path).returncode == 0

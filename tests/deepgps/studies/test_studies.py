@@ -27,7 +27,7 @@ from sim.recording.format import check_recording
 from tests.helpers.command import deepgps_here, drop_progress, wait_until
 from tests.helpers.small_study import STUDY, do_here, run_all_here, start, write_study
 
-MORE = [{"learn.start": "auto", "learn.seed": 2}, {"learn.train.device": "cuda:99", "learn.seed": 3}]
+MORE_CASES = [{"learn.start": "auto", "learn.seed": 2}, {"learn.train.device": "cuda:99", "learn.seed": 3}]
 INTERRUPTED = "interrupted; the same command continues where it stopped"
 
 
@@ -58,7 +58,7 @@ def finished(tmp_path_factory) -> tuple[Path, Path, str]:
 def grown(finished) -> tuple[Path, str, str, dict[Path, int]]:
     """The same with a run more and one that fails: folder, what it said, its errors, when older files were written."""
     study, out, _ = finished
-    write_study(study.parent, cases=[*STUDY["cases"], *MORE])
+    write_study(study.parent, cases=[*STUDY["cases"], *MORE_CASES])
     times = {path: path.stat().st_mtime_ns for path in out.glob("r*/*/*") if path.is_file() and path.name != ".deepgps"}
     process = start(study, out, "--publish", str(out.parent / "pages"))
     said, errors = process.communicate(timeout=120)
@@ -271,7 +271,7 @@ def test_a_drive_that_fails_fails_its_runs_and_no_others(tmp_path, monkeypatch):
     assert [row["failure"] for row in rows] == ["recording: stuck between two chairs"] * 2 + [None] * 2
 
 
-WRONG: list[tuple[dict, str]] = [
+WRONG_STUDIES: list[tuple[dict, str]] = [
     ({"seedz": [0]}, "seedz"),
     ({"seeds": [], "report": "fancy"}, "seeds []"),
     ({"seeds": ["a"], "report": "fancy"}, "report 'fancy'"),
@@ -309,7 +309,7 @@ WRONG: list[tuple[dict, str]] = [
 
 
 def test_wrong_studies_are_named_in_one_line(tmp_path):
-    for changes, words in WRONG:
+    for changes, words in WRONG_STUDIES:
         with pytest.raises(InputError) as caught:
             plan_runs(load_study(str(write_study(tmp_path, **changes)), tiny=False))
         said = str(caught.value)

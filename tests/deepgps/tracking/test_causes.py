@@ -10,7 +10,7 @@ from deepgps.positioner.pose import find_poses
 from deepgps.tracking import causes
 from deepgps.tracking.causes import FAULTY_CAUSES, TITLES, WINDOW, Causes, Monitor, Watch, make_monitor, name_causes
 from sim.recording.format import Recording, open_recording
-from tests.helpers.drawn_room import HIGH, MOVED, Room, drive, train
+from tests.helpers.drawn_room import HIGH_CORNER, MOVED_PILLARS, Room, drive, train
 
 SEGMENTS, IN_USE = 90, 24
 Drawn = tuple[Monitor, Recording]
@@ -64,7 +64,7 @@ def test_changed_images_are_named(drawn: Drawn):
 
 
 def test_moved_furniture_is_named(drawn: Drawn, like: Recording):
-    found = drawn[0].name(drive(like, Room(pillars=MOVED), IN_USE, 2))
+    found = drawn[0].name(drive(like, Room(pillars=MOVED_PILLARS), IN_USE, 2))
     assert found.named[0] == "furniture"
     refused = found.label[~found.accepted]
     assert (refused == "furniture").mean() > 0.8
@@ -77,7 +77,7 @@ def test_another_room_is_named(drawn: Drawn, like: Recording):
 
 
 def test_places_that_were_not_driven_are_named(like: Recording):
-    recording = drive(like, Room(), SEGMENTS, 1, high=np.array([1.5, HIGH[1]]))
+    recording = drive(like, Room(), SEGMENTS, 1, high=np.array([1.5, HIGH_CORNER[1]]))
     use = drive(like, Room(), IN_USE, 2)
     found = name_causes(train(recording, "ranks"), recording, use)
     assert found is not None
@@ -115,7 +115,7 @@ def test_headings_of_the_robot_change_nothing(drawn: Drawn):
 @pytest.mark.parametrize("images", [80, pytest.param(10_000, marks=pytest.mark.slow)])
 def test_causes_of_images_as_they_come_are_those_of_the_drive(drawn: Drawn, like: Recording, images: int):
     monitor, clean = drawn
-    moved = drive(like, Room(pillars=MOVED), IN_USE, 2)
+    moved = drive(like, Room(pillars=MOVED_PILLARS), IN_USE, 2)
     for use in (moved, see(clean, FAULTS["light"])) if images == 80 else (clean, moved, see(clean, FAULTS["covered"])):
         known, watch = monitor.name(use), Watch(monitor)
         novelty = find_poses(monitor.positioner, use.observation[:images]).novelty

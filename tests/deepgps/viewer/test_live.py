@@ -161,7 +161,7 @@ def count_rows(rows: int) -> np.ndarray:
     return np.arange(rows)
 
 
-HANGING = """
+HANGING_VIEWER = """
 import os, signal, sys
 from pathlib import Path
 from deepgps.terminal.progress import ignore
@@ -181,7 +181,7 @@ def test_a_viewer_that_hangs_holds_up_neither_the_run_nor_the_end_of_the_process
     many = np.arange(100_000)  # more than waits in the sockets between
     write_chunk(tmp_path / "recording", np.stack([many / len(many), 0 * many], 1), np.stack([0 * many, many], 1))
     with serve_grpc("--serve-grpc") as (address, server):
-        command = [sys.executable, "-c", HANGING, address, str(tmp_path), str(server.pid)]
+        command = [sys.executable, "-c", HANGING_VIEWER, address, str(tmp_path), str(server.pid)]
         done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
         server.send_signal(signal.SIGCONT)
     assert done.returncode == 0, done.stderr

@@ -13,7 +13,7 @@ from sim.recording.format import check_recording
 from sim.settings import DriveSettings, GridSettings, LandmarksSettings, SimSettings
 from tests.helpers.recordings import change, quiet, read_what_must_agree, small_chunks
 
-FAULTY = {
+FAULTY_CHANGES = {
     **{"ticks_per_rev": 128, "radius_error_left": 0.02, "radius_error_right": -0.01, "track_error": 0.03},
     **{"slip_per_m": 0.01, "step_noise": 0.1, "dropout": 0.2},
 }
@@ -61,11 +61,11 @@ def assert_derived_is_as_collected(base: Path, settings: SimSettings, folder: Pa
 @pytest.mark.parametrize("samples", [64, 128, 400])
 def test_derived_is_as_collected_in_the_plane(samples: int, plane: Path, tmp_path: Path):
     assert_derived_is_as_collected(plane, drive(PLANE, samples), tmp_path / "sound")
-    assert_derived_is_as_collected(plane, drive(PLANE, samples, **FAULTY), tmp_path / "faulty")
+    assert_derived_is_as_collected(plane, drive(PLANE, samples, **FAULTY_CHANGES), tmp_path / "faulty")
 
 
 @pytest.mark.slow  # quick: test_use
-@pytest.mark.parametrize(("samples", "faults"), [(20, {}), (70, FAULTY)])
+@pytest.mark.parametrize(("samples", "faults"), [(20, {}), (70, FAULTY_CHANGES)])
 def test_derived_is_as_collected_in_a_room(samples: int, faults: dict, room: tuple[SimSettings, Path], tmp_path: Path):
     """Of one and of several chunks, cut in the middle of a segment."""
     assert_derived_is_as_collected(room[1], drive(room[0], samples, **faults), tmp_path)
@@ -75,19 +75,19 @@ def test_derived_is_as_collected_in_a_room(samples: int, faults: dict, room: tup
 @pytest.mark.parametrize("samples", [70, 90])
 def test_faults_of_images_are_derived_as_they_are_collected(samples: int, room, tmp_path: Path):
     dark = {"exposure": 0.5, "vignetting": 0.3, "read_noise": 0.1, "shot_noise": 0.1, "turn_deg": 8.0}
-    settings, base = change(drive(room[0], samples, **FAULTY), image_faults=dark), room[1]
+    settings, base = change(drive(room[0], samples, **FAULTY_CHANGES), image_faults=dark), room[1]
     assert_derived_is_as_collected(base, settings, tmp_path)
     sound, faulty = (read_what_must_agree(folder)["sha256"] for folder in (base, tmp_path / "derived"))
     assert all(sound[name] != faulty[name] for name in ("observations/fisheye.npy", "test/fisheye.npy"))
     with pytest.raises(InputError, match="has faults in its images, which cannot be taken away"):
-        derive(tmp_path / "derived", drive(settings, 20, **FAULTY), 0, tmp_path / "again")
+        derive(tmp_path / "derived", drive(settings, 20, **FAULTY_CHANGES), 0, tmp_path / "again")
     with pytest.raises(InputError, match="only encoder"):
         derive(base, change(settings, camera_mount={"roll_deg": 1.0}), 0, tmp_path / "again")
 
 
 def test_what_is_the_same_takes_no_room_and_outlives_the_other(plane: Path, tmp_path: Path):
     collect_plane(choose_drive(PLANE, 400), 0, tmp_path / "base", quiet)
-    derive(tmp_path / "base", drive(PLANE, 400, **FAULTY), 0, tmp_path / "derived")
+    derive(tmp_path / "base", drive(PLANE, 400, **FAULTY_CHANGES), 0, tmp_path / "derived")
     for name in ("observations/landmarks.npy", "test/landmarks.npy", "truth/pose.npy"):
         assert (tmp_path / "base" / name).samefile(tmp_path / "derived" / name)
     for path in sorted((tmp_path / "base").rglob("*.np?")):
@@ -96,7 +96,7 @@ def test_what_is_the_same_takes_no_room_and_outlives_the_other(plane: Path, tmp_
 
 
 def test_what_a_killed_process_left_is_replaced_and_what_stands_stays(plane: Path, tmp_path: Path):
-    settings, folder = drive(PLANE, 64, **FAULTY), tmp_path / "derived"
+    settings, folder = drive(PLANE, 64, **FAULTY_CHANGES), tmp_path / "derived"
     (folder / "truth").mkdir(parents=True)
     (folder / "observations").mkdir()
     (folder / "observations" / "landmarks.npy").write_bytes(b"half")
@@ -119,7 +119,7 @@ def test_what_does_not_fit_is_refused(plane: Path, tmp_path: Path):
 
 
 def test_a_recording_with_losses_is_no_base(tmp_path: Path):
-    collect_plane(drive(PLANE, 400, **FAULTY), 0, tmp_path / "base", quiet)
+    collect_plane(drive(PLANE, 400, **FAULTY_CHANGES), 0, tmp_path / "base", quiet)
     with pytest.raises(InputError, match="has lost readings, whose times are not known"):
         derive(tmp_path / "base", PLANE, 0, tmp_path / "derived")
 
@@ -131,6 +131,6 @@ def test_a_drive_whose_tests_follow_it_is_shared_at_its_own_length_alone(tmp_pat
     assert can_be_cut(PLANE) and not any(map(can_be_cut, (noisy, held_out, tags)))
     collect_plane(choose_drive(noisy, 400), 0, tmp_path / "base", quiet)
     with pytest.raises(InputError, match="has 400 samples, of which 64 are no recording of their own"):
-        derive(tmp_path / "base", drive(noisy, 64, **FAULTY), 0, tmp_path / "derived")
-    derive(tmp_path / "base", drive(noisy, 400, **FAULTY), 0, tmp_path / "derived")
+        derive(tmp_path / "base", drive(noisy, 64, **FAULTY_CHANGES), 0, tmp_path / "derived")
+    derive(tmp_path / "base", drive(noisy, 400, **FAULTY_CHANGES), 0, tmp_path / "derived")
     check_recording(tmp_path / "derived")

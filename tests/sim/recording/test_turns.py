@@ -12,7 +12,7 @@ from sim.recording.derive import choose_drive, derive
 from sim.recording.format import check_recording, open_recording, open_truth, read_manifest
 from sim.recording.turns import KINDS, NO_IMAGE, cut_turns, from_array, list_turns, lose_turns
 from sim.settings import DriveSettings, GridSettings, LidarSettings, SimSettings
-from tests.conftest import SMALL
+from tests.conftest import SMALL_WORLD
 from tests.helpers.recordings import change, quiet, small_chunks
 
 MAP = SimSettings(
@@ -21,14 +21,16 @@ MAP = SimSettings(
     drive=DriveSettings(samples=400),
     grid=GridSettings(spacing_m=0.5, headings=2),
 )
-EXACT = change(MAP, lidar={"noise_m": 0.0})
+EXACT_MAP = change(MAP, lidar={"noise_m": 0.0})
 
 
 @pytest.mark.parametrize(
     "settings",
     [
         MAP,
-        pytest.param(change(SMALL, drive={"samples": 120}, image_faults={"read_noise": 0.1}), marks=pytest.mark.slow),
+        pytest.param(
+            change(SMALL_WORLD, drive={"samples": 120}, image_faults={"read_noise": 0.1}), marks=pytest.mark.slow
+        ),
     ],
     ids=["obstacles", "room"],
 )
@@ -44,7 +46,7 @@ def test_all_other_files_are_the_same_with_and_without_turn_images(settings: Sim
 
 
 def test_turn_images_show_the_place_of_the_turn_under_the_next_segment_s_heading(tmp_path: Path):
-    collect_plane(EXACT, 0, tmp_path, quiet)
+    collect_plane(EXACT_MAP, 0, tmp_path, quiet)
     recording, truth = open_recording(tmp_path), open_truth(tmp_path)
     turns = recording.turns
     assert turns is not None and recording.turn_observation is not None
@@ -105,7 +107,7 @@ def test_lost_readings_leave_the_turns_between_segments_of_which_a_reading_arriv
 
 @pytest.mark.parametrize("samples", [100, 400])
 def test_deriving_carries_the_turns(samples: int, tmp_path: Path):
-    settings = change(EXACT, drive={"samples": samples}, encoder={"dropout": 0.6, "slip_per_m": 0.01})
+    settings = change(EXACT_MAP, drive={"samples": samples}, encoder={"dropout": 0.6, "slip_per_m": 0.01})
     collect_plane(choose_drive(settings, 400), 0, tmp_path / "base", quiet)
     collect_plane(settings, 0, tmp_path / "collected", quiet)
     derive(tmp_path / "base", settings, 0, tmp_path / "derived")

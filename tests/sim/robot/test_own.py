@@ -86,7 +86,7 @@ def changed(tmp_path: Path, *changes: tuple[str, str]) -> Path:
 
 
 WORLD = ("<worldbody>", '<worldbody><body name="another"/>')
-REFUSED = [
+REFUSED_ROBOTS = [
     ([("<option", '<include file="../other.xml"/><option')], {}, r"robot\.mjcf"),
     ([("<option", "<extension/><option")], {}, "extensions"),
     ([("</mujoco>", "")], {}, "not XML"),
@@ -100,20 +100,20 @@ REFUSED = [
     ([('name="left_drive" axis="0 1 0"', 'name="left_drive" axis="0 -1 0"')], {}, "axis 0 1 0"),
     ([('name="eye" pos="0 0 0.5"', 'name="eye" pos="0.05 0 0.5"')], {}, "camera_mount"),
 ]
-TRIED = 3
+TRIED_CASES = 3
 """Number of the first cases, which the trial refuses; the others pass it."""
 
 
 def test_what_is_wrong_with_it_is_said_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    for number, (changes, names, message) in enumerate(REFUSED):
-        if number == TRIED:
+    for number, (changes, names, message) in enumerate(REFUSED_ROBOTS):
+        if number == TRIED_CASES:
             monkeypatch.setattr("sim.robot.own.list_files", lambda *_: [])
         with pytest.raises(InputError, match=message) as error:
             describe_own(robot(changed(tmp_path, *changes), **names))
         assert "\n" not in str(error.value) and "robot." in str(error.value)
 
 
-LOWER = [
+LOWER_BODIES = [
     *((f'pos="0 {side} 0.066"', f'pos="0 {side} 0.046"') for side in ("0.16", "-0.16")),
     ('pos="-0.15 0 0.02"', 'pos="-0.15 0 0.0"'),
 ]
@@ -123,7 +123,7 @@ def test_one_that_cannot_stand_or_drive_is_refused_before_it_drives(tmp_path: Pa
     for changes, message in (
         ([('pos="-0.15 0 0.02"', 'pos="-0.15 0 0.30"')], "does not stay level"),
         ([('kv="0.6"', 'kv="0.6" ctrlrange="-0.5 0.5"')], r"drive\.speed_mps 0\.22, it drove 0\.\d"),
-        (LOWER, r"0\.02 m above the floor"),
+        (LOWER_BODIES, r"0\.02 m above the floor"),
     ):
         with pytest.raises(InputError, match=rf"robot\.mjcf .*{message}"):
             RoomWorld(SimSettings(robot=robot(changed(tmp_path, *changes))), empty_room())

@@ -6,7 +6,7 @@ import pytest
 from sim.robot.headings import UNVISITED_AGE_M, Visits
 from sim.robot.model import BURGER
 
-SHORT_M = 1.0
+SHORT_DISTANCE_M = 1.0
 
 
 def wheels(forward_m: float, turned_rad: float) -> np.ndarray:
@@ -52,9 +52,9 @@ def test_arc_in_one_step_is_the_arc_in_many():
 def test_segment_passed_over_is_fresh_and_what_is_beside_it_stale():
     visits = start()
     angle = visits.state()["visit_angle"] + wheels(2.0, 0.0)
-    never = visits.staleness(0.0, SHORT_M)
+    never = visits.staleness(0.0, SHORT_DISTANCE_M)
     visits.pass_over(angle)
-    back, ahead, aside = (visits.staleness(turned, SHORT_M) for turned in (np.pi, 0.0, np.pi / 2))
+    back, ahead, aside = (visits.staleness(turned, SHORT_DISTANCE_M) for turned in (np.pi, 0.0, np.pi / 2))
     assert back < 1e-6 * ahead
     assert ahead == pytest.approx(never * ((UNVISITED_AGE_M + 2.0) / UNVISITED_AGE_M) ** 2, rel=0.15)  # end passed over
     assert back < aside < ahead * 1.01
@@ -65,7 +65,7 @@ def test_floor_becomes_stale_with_the_distance_driven_elsewhere():
     visits.pass_over(visits.state()["visit_angle"] + wheels(2.0, 0.0))
     rates = []
     for _ in range(4):
-        rates.append(visits.staleness(np.pi, SHORT_M))
+        rates.append(visits.staleness(np.pi, SHORT_DISTANCE_M))
         follow(visits, (0.5, 0.0), (-0.5, 0.0))
     assert rates == sorted(rates) and rates[0] < rates[1]
 
@@ -73,11 +73,11 @@ def test_floor_becomes_stale_with_the_distance_driven_elsewhere():
 def test_staleness_further_on_is_that_after_having_moved_there():
     visits = start()
     visits.pass_over(visits.state()["visit_angle"] + wheels(1.0, 0.4))
-    before = visits.staleness(np.pi / 2, SHORT_M, 0.3)
+    before = visits.staleness(np.pi / 2, SHORT_DISTANCE_M, 0.3)
     unmoved = visits.state()
     follow(visits, (0.3, 0.0))
     visits.set_state(visits.state() | {"visit_pose": np.array((*place(visits), unmoved["visit_pose"][2]))})
-    assert visits.staleness(np.pi / 2, SHORT_M) == pytest.approx(before)
+    assert visits.staleness(np.pi / 2, SHORT_DISTANCE_M) == pytest.approx(before)
 
 
 def test_state_restores_everything():
@@ -87,7 +87,7 @@ def test_state_restores_everything():
     other = Visits(BURGER, np.zeros(2))
     other.set_state(visits.state())
     assert all(np.array_equal(other.state()[name], value) for name, value in visits.state().items())
-    assert other.staleness(1.0, SHORT_M) == visits.staleness(1.0, SHORT_M)
+    assert other.staleness(1.0, SHORT_DISTANCE_M) == visits.staleness(1.0, SHORT_DISTANCE_M)
 
 
 def test_forgotten_floor_was_never_visited():
@@ -95,4 +95,4 @@ def test_forgotten_floor_was_never_visited():
     visits.pass_over(visits.state()["visit_angle"] + wheels(2.0, 0.0))
     visits.forget()
     assert visits.state()["visit_cell"].size == 0
-    assert visits.staleness(np.pi, SHORT_M) == visits.staleness(0.3, SHORT_M)
+    assert visits.staleness(np.pi, SHORT_DISTANCE_M) == visits.staleness(0.3, SHORT_DISTANCE_M)

@@ -15,7 +15,7 @@ from sim.rooms.spec import empty_room
 from sim.settings import RoomSettings, SimSettings
 from tests.helpers.small_room import HALF_X, HALF_Y, add_box, furnished, walls
 
-HOSTILE = """
+HOSTILE_MODEL = """
 <mujoco>
   <compiler settotalmass="50" boundmass="3"/>
   <option timestep="0.02" gravity="1 2 -3" integrator="RK4" density="1000" viscosity="5" wind="9 0 0" cone="pyramidal"
@@ -43,7 +43,7 @@ def drive_a_little(world: RoomWorld, periods: int = 60) -> np.ndarray:
 
 def test_room_cannot_change_the_robots_physics():
     plain = RoomWorld(SimSettings(), empty_room())
-    hostile = RoomWorld(SimSettings(), mujoco.MjSpec.from_string(HOSTILE))
+    hostile = RoomWorld(SimSettings(), mujoco.MjSpec.from_string(HOSTILE_MODEL))
     for world in (plain, hostile):
         world.place(np.array([0.5, -0.5, 1.0]))
         drive_a_little(world)
@@ -111,11 +111,11 @@ def test_ranges_are_the_distances_to_the_walls(x, y, yaw):
         to_x = (np.copysign(HALF_X, np.cos(angle)) - x) / np.cos(angle)
         to_y = (np.copysign(HALF_Y, np.sin(angle)) - y) / np.sin(angle)
     expected = np.minimum(np.minimum(to_x, to_y), REACH_M)
-    measured = BARE.measure(x, y, yaw, REACH_M).reshape(len(BARE.heights_m), -1)
+    measured = BARE_RAYS.measure(x, y, yaw, REACH_M).reshape(len(BARE_RAYS.heights_m), -1)
     assert np.allclose(measured, expected, atol=1e-9)
 
 
-BARE = RangeFinder(walls(), 0.35)
+BARE_RAYS = RangeFinder(walls(), 0.35)
 
 
 @given(st.floats(0.0, 0.5), st.floats(-0.5, 0.5))

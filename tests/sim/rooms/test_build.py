@@ -16,11 +16,11 @@ from tests.sim.rooms.test_look_alike import texture_of
 
 RADIUS_M, HEIGHT_M = 0.105, 0.37
 KINDS = [kind for kind in get_args(RoomKind) if kind not in MIN_ROOM_SIDE_M]
-EVERY = [(kind, shape) for kind in KINDS for shape in get_args(RoomShape)]
-HANGS = {"door", "roller_door", "window", "picture", "mirror", "whiteboard", "tool_wall", "clock", "wall_shelf"}
+ALL_ROOMS = [(kind, shape) for kind in KINDS for shape in get_args(RoomShape)]
+HANGING_KINDS = {"door", "roller_door", "window", "picture", "mirror", "whiteboard", "tool_wall", "clock", "wall_shelf"}
 
 
-QUICK = [*((kind, "rectangle") for kind in KINDS), *(("living_room", shape) for shape in get_args(RoomShape)[1:])]
+QUICK_ROOMS = [*((kind, "rectangle") for kind in KINDS), *(("living_room", shape) for shape in get_args(RoomShape)[1:])]
 
 
 @cache
@@ -125,7 +125,7 @@ def test_the_seed_decides_every_byte():
     assert saved(6) != first
 
 
-@pytest.mark.parametrize(("rooms", "least"), [(QUICK, 18), pytest.param(EVERY, 26, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("rooms", "least"), [(QUICK_ROOMS, 18), pytest.param(ALL_ROOMS, 26, marks=pytest.mark.slow)])
 def test_people_find_at_least_eighteen_kinds_of_things(rooms, least):
     kinds = {_kind_of(model, body) for model in (_room(*each)[0] for each in rooms) for body in range(1, model.nbody)}
     expected = {"sofa", "armchair", "bed", "dining_table", "coffee_table", "desk", "chair", "bookshelf", "wardrobe"}
@@ -145,7 +145,7 @@ def _what_hangs_touches_a_wall_and_beds_have_their_head_at_one(kind, shape, seed
     walls = [_box(model, data, geom) for geom, body in enumerate(model.geom_bodyid) if _kind_of(model, body) == "wall"]
     low, high = np.array(walls).transpose(1, 0, 2)[..., :2]
     for body in range(1, model.nbody):
-        behind = {"bed": 1.04, **dict.fromkeys(HANGS, 0.0)}.get(_kind_of(model, body))
+        behind = {"bed": 1.04, **dict.fromkeys(HANGING_KINDS, 0.0)}.get(_kind_of(model, body))
         if behind is not None:
             back = data.xpos[body, :2] + behind * data.xmat[body].reshape(3, 3)[:2, 1]
             away = np.linalg.norm(np.maximum(low - back, back - high).clip(min=0.0), axis=1)
@@ -185,8 +185,8 @@ def _a_person_can_walk_in_it(kind, shape, seed):
 @pytest.mark.parametrize(
     ("kind", "shape", "seed"),
     [
-        *((*pair, 0) for pair in QUICK),
-        *(pytest.param(*pair, number, marks=pytest.mark.slow) for number, pair in enumerate(EVERY)),
+        *((*pair, 0) for pair in QUICK_ROOMS),
+        *(pytest.param(*pair, number, marks=pytest.mark.slow) for number, pair in enumerate(ALL_ROOMS)),
     ],
 )
 def test_every_fact_of_a_room_holds(kind, shape, seed):

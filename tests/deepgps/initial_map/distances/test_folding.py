@@ -78,11 +78,11 @@ def test_the_worst_sign_decides():
 
 
 STEP = 0.1
-LEFT = [((0.0, y), (4.0, 4.0 - y)) for y in (0.5, 1.5, 2.5, 3.5)] + [((x, 0.0), (x, 4.0)) for x in (0.5, 1.5, 3.0)]
-RIGHT = [((6.0, 0.5), (7.5, 3.5)), ((6.0, 3.5), (7.5, 0.5)), ((6.0, 1.0), (8.0, 1.0)), ((6.0, 3.0), (8.0, 3.0))]
-LONG = [((0.0, 2.0), (8.0, 2.0))]
-SECOND = [((0.0, 3.2), (8.0, 2.8))]
-DIAGONAL = [((0.0, 1.0), (8.0, 2.6))]
+LEFT_BARS = [((0.0, y), (4.0, 4.0 - y)) for y in (0.5, 1.5, 2.5, 3.5)] + [((x, 0.0), (x, 4.0)) for x in (0.5, 1.5, 3.0)]
+RIGHT_BARS = [((6.0, 0.5), (7.5, 3.5)), ((6.0, 3.5), (7.5, 0.5)), ((6.0, 1.0), (8.0, 1.0)), ((6.0, 3.0), (8.0, 3.0))]
+LONG_BARS = [((0.0, 2.0), (8.0, 2.0))]
+SECOND_BARS = [((0.0, 3.2), (8.0, 2.8))]
+DIAGONAL_BARS = [((0.0, 1.0), (8.0, 2.6))]
 TURN = np.array([[0.6, -0.8], [0.8, 0.6]])
 
 
@@ -104,16 +104,16 @@ def make_graph(bars: list) -> tuple[PoseGraph, np.ndarray]:
 
 
 def test_a_part_that_meets_the_rest_along_one_line_could_be_mirrored():
-    graph, point = make_graph(LEFT + RIGHT + LONG)
+    graph, point = make_graph(LEFT_BARS + RIGHT_BARS + LONG_BARS)
     found = find_ambiguous_readings(graph, point)
     moved = np.abs(point[:, 1] - 2.0) > 3 * STEP
     assert (found == ((point[:, 0] > 5.0) & moved)).all()
 
 
 def test_mirroring_that_part_keeps_every_loop_closure_short():
-    graph, point = make_graph(LEFT + RIGHT + LONG)
+    graph, point = make_graph(LEFT_BARS + RIGHT_BARS + LONG_BARS)
     mirrored = point.copy()
-    right = (point[:, 0] > 5.0) & (graph.bar < len(LEFT + RIGHT))
+    right = (point[:, 0] > 5.0) & (graph.bar < len(LEFT_BARS + RIGHT_BARS))
     mirrored[right, 1] = 4.0 - point[right, 1]
     apart, before = (np.linalg.norm(one[graph.a] - one[graph.b], axis=1) for one in (mirrored, point))
     assert np.abs(apart - before).max() < 2 * STEP
@@ -121,14 +121,18 @@ def test_mirroring_that_part_keeps_every_loop_closure_short():
 
 
 def test_a_second_line_decides_it_and_a_single_bar_that_hangs_loose_is_no_part():
-    for bars in (LEFT + RIGHT + LONG + SECOND, LEFT + RIGHT + LONG + DIAGONAL, [*LEFT, ((3.8, 1.9), (4.2, 2.0))]):
+    for bars in (
+        LEFT_BARS + RIGHT_BARS + LONG_BARS + SECOND_BARS,
+        LEFT_BARS + RIGHT_BARS + LONG_BARS + DIAGONAL_BARS,
+        [*LEFT_BARS, ((3.8, 1.9), (4.2, 2.0))],
+    ):
         assert not find_ambiguous_readings(*make_graph(bars)).any()
     assert find_ambiguous_readings(*make_graph([((0.0, y), (4.0, y)) for y in (0.0, 1.0, 2.0)])).mean() > 0.5
 
 
 def test_the_smaller_part_is_the_one_in_doubt():
     graph, point = make_graph(
-        [*RIGHT, *LONG, *(((x - 1.0, 0.0), (x + 1.0, 4.0)) for x in (6.0, 6.5)), LEFT[0], LEFT[3]]
+        [*RIGHT_BARS, *LONG_BARS, *(((x - 1.0, 0.0), (x + 1.0, 4.0)) for x in (6.0, 6.5)), LEFT_BARS[0], LEFT_BARS[3]]
     )
     found = find_ambiguous_readings(graph, point)
     assert found.any()
@@ -136,7 +140,7 @@ def test_the_smaller_part_is_the_one_in_doubt():
 
 
 def test_it_does_not_depend_on_the_frame():
-    graph, point = make_graph(LEFT + RIGHT + LONG)
+    graph, point = make_graph(LEFT_BARS + RIGHT_BARS + LONG_BARS)
     for mirror in (1.0, -1.0):
         elsewhere = (point * [1.0, mirror]) @ TURN.T + [3.0, -7.0]
         assert (find_ambiguous_readings(graph, elsewhere) == find_ambiguous_readings(graph, point)).all()

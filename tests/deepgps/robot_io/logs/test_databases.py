@@ -11,7 +11,7 @@ from sim.errors import InputError
 from tests.helpers.robot_log import JOINTS, Note, make_notes, write_log
 
 SPECIAL = ("a#1", "a?x", "a%20y", "a b")
-LATE = 500
+LATE_MESSAGES = 500
 """Messages that are in the -wal file alone."""
 
 
@@ -60,7 +60,7 @@ def kill_recorder(log: Path, copy: Path) -> Path:
     (file,) = log.glob("*.db3")
     with closing(sqlite3.connect(file)) as database:
         database.executescript("PRAGMA journal_mode=WAL; PRAGMA wal_autocheckpoint=0;")
-        last = f"FROM messages ORDER BY id DESC LIMIT {LATE}"
+        last = f"FROM messages ORDER BY id DESC LIMIT {LATE_MESSAGES}"
         rows = database.execute(f"SELECT topic_id, timestamp, data {last}").fetchall()
         database.execute(f"DELETE FROM messages WHERE id IN (SELECT id {last})")
         database.commit()

@@ -69,7 +69,7 @@ def configure(**groups: Any) -> RobotConfig:
     return RobotConfig.model_validate(values)
 
 
-PLAIN = configure(
+PLAIN_CONFIG = configure(
     wheels={"topic": "wheels.csv", "left": "left", "right": "right", "lag_s": 0.0},
     camera={"topic": "images", "info": None, "circle_px": 38.0, "field_of_view_deg": 136.1},
     pose={"topic": "poses.csv"},
@@ -115,7 +115,7 @@ def test_every_container_gives_the_same_recording(form: str, notes: list[Note], 
 
 def test_a_plain_folder_is_a_log(tmp_path: Path) -> None:
     log = write_plain(tmp_path / "plain")
-    folder, _ = bring_in(log, tmp_path, PLAIN)
+    folder, _ = bring_in(log, tmp_path, PLAIN_CONFIG)
     check_complete(folder)
 
 
@@ -130,11 +130,11 @@ def test_what_is_odd_in_a_plain_folder_is_passed_over_and_noted(tmp_path: Path) 
     first_pose, *poses = (log / "poses.csv").read_text().splitlines()
     poses[200:203] = [f"{poses[200].partition(',')[0]},{values}" for values in ("nan,nan,nan", "1,inf,0", "1,1,inf")]
     (log / "poses.csv").write_text("\n".join([first_pose, *poses]))
-    folder, about = bring_in(log, tmp_path, PLAIN)
+    folder, about = bring_in(log, tmp_path, PLAIN_CONFIG)
     check_complete(folder)
     assert any("poses.csv: 3 messages are left out" in note for note in about["notes"])
     (log / "wheels.csv").write_text("\n".join([head, *rows[: 3 * len(rows) // 4]]))
-    _, about = bring_in(log, tmp_path / "shorter", PLAIN)
+    _, about = bring_in(log, tmp_path / "shorter", PLAIN_CONFIG)
     assert any("images were taken before or after the wheels were logged" in note for note in about["notes"])
 
 
@@ -148,7 +148,7 @@ def test_a_plain_file_that_cannot_be_read_is_named_with_its_line(tmp_path: Path)
     ):
         (log / "wheels.csv").write_bytes(data)
         with pytest.raises(InputError, match=message):
-            bring_in(log, tmp_path / "new" / "folder", PLAIN)
+            bring_in(log, tmp_path / "new" / "folder", PLAIN_CONFIG)
         assert not (tmp_path / "new").exists(), "a refused import leaves nothing"
 
 
@@ -161,7 +161,7 @@ def test_images_that_are_named_by_their_numbers_are_refused(tmp_path: Path) -> N
         for number, path in enumerate(sorted((log / "images").iterdir()), start=first):
             path.unlink() if number == without else path.rename(path.with_name(path.name.removeprefix("frame")))
         with pytest.raises(InputError, match=r"named by their numbers, 00000\d to 000\d+, which are no times"):
-            bring_in(log, tmp_path, PLAIN)
+            bring_in(log, tmp_path, PLAIN_CONFIG)
 
 
 def rename_images(log: Path, name: Callable[[float], str]) -> None:
@@ -350,7 +350,7 @@ def keep(notes: list[Note]) -> list[Note]:
 
 
 MIRRORED, ESTIMATED = {"camera": {"mirrored": True}}, {"wheels": {"lag_s": "estimate"}}
-BORNE: dict[str, tuple[Change, dict[str, Any], float, str]] = {
+TOLERATED_CHANGES: dict[str, tuple[Change, dict[str, Any], float, str]] = {
     "swapped": (on(JOINTS, swap), {}, 0.003, ""),
     "namespace": (on(JOINTS, prefix), {}, 0.003, ""),
     "wraps": (on(JOINTS, wrap_angle), {}, 0.003, "a counter wrapped around"),
@@ -371,15 +371,15 @@ BORNE: dict[str, tuple[Change, dict[str, Any], float, str]] = {
 """What a log's messages may be like: the change, settings, error of lengths [m], and what is noted."""
 
 
-@pytest.mark.parametrize("case", in_tiers(BORNE, "partial", "zero stamps"))
+@pytest.mark.parametrize("case", in_tiers(TOLERATED_CHANGES, "partial", "zero stamps"))
 def test_habits_of_real_robots_change_nothing(case: str, notes: list[Note], tmp_path: Path) -> None:
-    how, groups, within_m, note = BORNE[case]
+    how, groups, within_m, note = TOLERATED_CHANGES[case]
     folder, about = bring_in(write_log(tmp_path / "log", how(notes), "mcap_lz4"), tmp_path, configure(**groups))
     check_complete(folder, within_m)
     assert note in " ".join(about["notes"]) and not any("backward" in one for one in about["notes"])
 
 
-NOTED: dict[str, tuple[Change, dict[str, Any], str]] = {
+NOTED_CHANGES: dict[str, tuple[Change, dict[str, Any], str]] = {
     "clock set back": (on(JOINTS, set_back), {"clocks": "align"}, ""),
     "wheels lost": (lose(JOINTS, 1.4, 3.18), {}, r"/joint_states at 1\..* no message for 1\.9 s while the robot moved"),
     "counter restarts": (restart, {}, r"/joint_states at 13\.9.* the counter restarted"),
@@ -399,9 +399,9 @@ NOTED: dict[str, tuple[Change, dict[str, Any], str]] = {
 """What divides or spoils a drive: the change, settings, and what is noted."""
 
 
-@pytest.mark.parametrize("case", in_tiers(NOTED, "wheels lost"))
+@pytest.mark.parametrize("case", in_tiers(NOTED_CHANGES, "wheels lost"))
 def test_what_spoils_a_drive_is_noted_and_lengths_are_right(case: str, notes: list[Note], tmp_path: Path) -> None:
-    how, groups, note = NOTED[case]
+    how, groups, note = NOTED_CHANGES[case]
     folder, about = bring_in(write_log(tmp_path / "log", how(notes), "mcap_lz4"), tmp_path, configure(**groups))
     assert re.search(note, " ".join(about["notes"]))
     if case not in {"lag", "track", "view"}:
@@ -506,7 +506,7 @@ def none(_: int, note: Note) -> None:
     return None
 
 
-REFUSED: dict[str, tuple[Change, str]] = {
+REFUSED_LOGS: dict[str, tuple[Change, str]] = {
     "no calibration": (on(CAMERA_INFO, info(focal=0.0)), "/camera/camera_info: the camera is not calibrated .K is 0."),
     "model": (on(CAMERA_INFO, info(model="omni")), "/camera/camera_info: distortion model 'omni': must be equidistant"),
     "size": (on(CAMERA_INFO, info(height=81)), "/camera/camera_info: it is for 96 x 81 px, and images have 96 x 80"),
@@ -517,7 +517,7 @@ REFUSED: dict[str, tuple[Change, str]] = {
     "few": (on(JOINTS, lambda n, note: note if n < 5 else None), "/joint_states has 5 messages with both wheels"),
 }
 """Logs that are refused before a picture is unwrapped: the change, and what is said."""
-REFUSED_LATER: dict[str, tuple[Change, str]] = {
+LATE_REFUSALS: dict[str, tuple[Change, str]] = {
     "still": (on(JOINTS, info(position=np.zeros(2))), "no straight segment with two images was found"),
     "rare": (on(JOINTS, lambda n, note: None if n % 10 else note), r"[1-9]\d* unknown; .* no message for 0\.5 s while"),
     "clocks": (on(CAMERA, late_images), r"clock of /camera/image_raw differs from that of /joint_states by \+3\.1"),
@@ -547,14 +547,14 @@ def check_refused(how: Change, message: str, notes: list[Note], folder: Path) ->
     assert [path.name for path in folder.iterdir()] == ["log.mcap"]
 
 
-@pytest.mark.parametrize("case", in_tiers(REFUSED, "model", "no camera", "joints", "few"))
+@pytest.mark.parametrize("case", in_tiers(REFUSED_LOGS, "model", "no camera", "joints", "few"))
 def test_what_cannot_be_used_is_refused_in_one_line(case: str, notes: list[Note], tmp_path: Path) -> None:
-    check_refused(*REFUSED[case], notes, tmp_path)
+    check_refused(*REFUSED_LOGS[case], notes, tmp_path)
 
 
-@pytest.mark.parametrize("case", in_tiers(REFUSED_LATER, "clocks", "mirrored", "two publishers"))
+@pytest.mark.parametrize("case", in_tiers(LATE_REFUSALS, "clocks", "mirrored", "two publishers"))
 def test_what_contradicts_itself_is_refused_in_one_line(case: str, notes: list[Note], tmp_path: Path) -> None:
-    check_refused(*REFUSED_LATER[case], notes, tmp_path)
+    check_refused(*LATE_REFUSALS[case], notes, tmp_path)
 
 
 @slow

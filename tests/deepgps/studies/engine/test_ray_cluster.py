@@ -28,7 +28,7 @@ ray.init("local", num_cpus=2, include_dashboard=False, logging_level=logging.ERR
 print(ray.get_runtime_context().gcs_address, flush=True)
 sys.stdin.read()
 """
-MADE = ("deepgps/*.safetensors", "deepgps/history.npz", "error_field.npz", "scenario.yaml")
+MADE_FILES = ("deepgps/*.safetensors", "deepgps/history.npz", "error_field.npz", "scenario.yaml")
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +46,7 @@ def cluster() -> Iterator[str]:
         process.communicate("")
 
 
-def read_runs(out: Path, made: Sequence[str] = MADE) -> dict[str, bytes]:
+def read_runs(out: Path, made: Sequence[str] = MADE_FILES) -> dict[str, bytes]:
     paths = [path for pattern in made for path in out.glob(f"runs/*/{pattern}")]
     return {path.relative_to(out).as_posix(): path.read_bytes() for path in paths}
 
@@ -67,7 +67,7 @@ def test_both_engines_make_the_same_bytes_and_list_the_same_failure(cluster: str
     assert [row["failure"] is None for row in rows["ray"]] == [True, False]
     assert "cuda:99" in rows["ray"][1]["failure"]
     ours, theirs = read_runs(tmp_path / "ray"), read_runs(tmp_path / "local")
-    assert len(ours) == len(MADE)
+    assert len(ours) == len(MADE_FILES)
     assert ours == theirs
 
 

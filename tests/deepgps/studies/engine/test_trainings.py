@@ -13,15 +13,15 @@ from deepgps.terminal.progress import ignore
 from sim.recording.format import open_recording
 from tests.helpers.small_study import do_here, write_study
 
-FIRST = [{}, {"encoder.dropout": 0.3}]
-LATER = [{"encoder.ticks_per_rev": 64}, {"encoder.step_noise": 0.1}, {"deployment.light": 0.5}]
+FIRST_CASES = [{}, {"encoder.dropout": 0.3}]
+LATER_CASES = [{"encoder.ticks_per_rev": 64}, {"encoder.step_noise": 0.1}, {"deployment.light": 0.5}]
 
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory) -> dict[str, Path]:
     """Runs of a study, by what their encoders suffer from, or what has changed since they learned."""
     home = tmp_path_factory.mktemp("shared")
-    cases = [*FIRST, *LATER]
+    cases = [*FIRST_CASES, *LATER_CASES]
     study = write_study(home, cases=cases, methods=["posenet", "dead_reckoned_labels"], report="plain", target={})
     assert do_here(study, home / "out") == {}
     found = {}

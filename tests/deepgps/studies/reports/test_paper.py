@@ -19,7 +19,7 @@ from deepgps.viewer.run import RECORDING
 from sim.errors import InputError
 from sim.files.checksums import read_json
 
-SHORT = ("learn.train.steps=20", "learn.train.segments=4", "learn.network.width=16", "learn.fold.restarts=0")
+SHORT_TRAINING = ("learn.train.steps=20", "learn.train.segments=4", "learn.network.width=16", "learn.fold.restarts=0")
 LANDMARKS = ("landmarks.count=40", "landmarks.segments=25", "landmarks.reach_m=1.2", "drive.spacing_m=0.05")
 EXPLICIT = ("grid.spacing_m=0.25", "learn.explicit.readings=200", "learn.explicit.evaluations=20")
 LIDAR = ("lidar.rays=32", "lidar.headings=2", "drive.samples=400", "grid.spacing_m=0.25", "grid.headings=2")
@@ -28,7 +28,7 @@ PCA = ("learn.pca.headings=5",)
 
 
 def make_small(world: str, methods: list[str], folder: Path, *settings: str) -> Path:
-    changes = dict(setting.split("=") for setting in (*SHORT, *settings))
+    changes = dict(setting.split("=") for setting in (*SHORT_TRAINING, *settings))
     run(load_scenario(world, {**changes, "methods": methods}), folder, fresh=False, progress=ignore)
     return folder
 

@@ -195,11 +195,11 @@ def make_fault(
     return {**make_row(rms, method), **faults}
 
 
-FAULTY = [make_fault(0.04, light=0.5), make_fault(0.02), make_fault(0.03, exposure=0.25), make_fault(0.05, 0.25)]
+FAULTY_RUNS = [make_fault(0.04, light=0.5), make_fault(0.02), make_fault(0.03, exposure=0.25), make_fault(0.05, 0.25)]
 
 
 def test_each_fault_stands_beside_none_and_those_in_use_alone_come_last() -> None:
-    text, figures = report_rows("camera", FAULTY, FAULTS)
+    text, figures = report_rows("camera", FAULTY_RUNS, FAULTS)
     both, use = "training and deployment", "deployment only"
     assert [line[0] for line in read_cells(text)] == ["no fault", "exposure x 0.25", "all light x 0.5"]
     for first, expected in (
@@ -215,7 +215,7 @@ def test_each_fault_stands_beside_none_and_those_in_use_alone_come_last() -> Non
 
 
 def test_without_a_run_without_faults_there_is_nothing_to_compare_with() -> None:
-    text, figures = report_rows("camera", FAULTY[:1], FAULTS)
+    text, figures = report_rows("camera", FAULTY_RUNS[:1], FAULTS)
     assert figures == {}
     assert "base" not in text.partition("\n")[0]
 
@@ -285,7 +285,7 @@ NAMES = (
     *("encoder.ticks_per_rev", "encoder.step_noise", "encoder.radius_error_left", "encoder.radius_error_right"),
     *("encoder.slip_per_m", "encoder.stuck_fraction", "robot.wheel_radius_error"),
 )
-TICKS, W, LEFT, RIGHT = NAMES[:4]
+TICKS, W, LEFT_RADIUS, RIGHT_RADIUS = NAMES[:4]
 SHARES = (("deepgps", 1.0), ("deepgps_noise_aware", 0.5))
 
 
@@ -312,8 +312,8 @@ SWEEPS = make_sweeps(
         ((TICKS, 16),): 0.011,
         ((TICKS, 4),): 0.03,
         ((W, 0.1),): 0.025,
-        ((LEFT, 0.02), (RIGHT, 0.02)): 0.04,
-        ((LEFT, 0.02),): 0.02,
+        ((LEFT_RADIUS, 0.02), (RIGHT_RADIUS, 0.02)): 0.04,
+        ((LEFT_RADIUS, 0.02),): 0.02,
         ((W, 0.1), (TICKS, 4)): 0.05,
     }
 )
@@ -332,7 +332,7 @@ def test_faults_are_told_apart_from_pairs_of_them_and_grow_from_none() -> None:
         "error of both wheels' radius": [0.0, 0.02],
         "noise w of each gap with ticks per revolution": ["0, 4", "0, 4096", "0.1, 4", "0.1, 4096"],
     }
-    either_sign = make_sweeps({((LEFT, error),): 0.01 for error in (-0.1, 0.0, 0.02)})
+    either_sign = make_sweeps({((LEFT_RADIUS, error),): 0.01 for error in (-0.1, 0.0, 0.02)})
     assert list_values(either_sign) == {"error of one wheel's radius": [0.0, 0.02, -0.1]}
 
 

@@ -34,8 +34,8 @@ def _list_pieces(*modules: ModuleType) -> dict[str, Callable]:
     return found
 
 
-STANDING, HANGING = _list_pieces(seating, storage, decor), _list_pieces(fittings)
-OVERHEAD = _list_pieces(ceiling)
+STANDING_PIECES, HANGING_PIECES = _list_pieces(seating, storage, decor), _list_pieces(fittings)
+OVERHEAD_PIECES = _list_pieces(ceiling)
 SEEDS = range(4)
 
 
@@ -52,8 +52,8 @@ def _build(piece, seed: int):
 
 
 def test_a_standing_piece_keeps_to_its_footprint_and_stands_on_the_floor():
-    for name, seed in product(STANDING, SEEDS):
-        it, model, low, high = _build(STANDING[name], seed)
+    for name, seed in product(STANDING_PIECES, SEEDS):
+        it, model, low, high = _build(STANDING_PIECES[name], seed)
         slack = np.array((it.width_m / 2 + 0.04, it.depth_m / 2 + 0.04))
         assert (low[:, :2] > -slack).all()
         assert (high[:, :2] < slack).all()
@@ -68,8 +68,8 @@ def test_a_standing_piece_keeps_to_its_footprint_and_stands_on_the_floor():
 
 
 def test_a_hanging_piece_keeps_to_its_rectangle_on_the_wall():
-    for name, seed in product(HANGING, SEEDS):
-        (width, bottom, top), _, low, high = _build(HANGING[name], seed)
+    for name, seed in product(HANGING_PIECES, SEEDS):
+        (width, bottom, top), _, low, high = _build(HANGING_PIECES[name], seed)
         assert low[:, 0].min() > -width / 2 - 0.02
         assert high[:, 0].max() < width / 2 + 0.02
         assert bottom - 0.02 < low[:, 2].min()
@@ -79,8 +79,8 @@ def test_a_hanging_piece_keeps_to_its_rectangle_on_the_wall():
 
 
 def test_a_ceiling_piece_hangs_below_the_ceiling():
-    for name, seed in product(OVERHEAD, SEEDS):
-        size, model, low, high = _build(OVERHEAD[name], seed)
+    for name, seed in product(OVERHEAD_PIECES, SEEDS):
+        size, model, low, high = _build(OVERHEAD_PIECES[name], seed)
         assert high[:, 2].max() < 0.011
         assert low[:, 2].min() > -1.0
         assert (high[:, :2].max(axis=0) < np.array(size) / 2 + 0.2).all()

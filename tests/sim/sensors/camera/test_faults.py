@@ -21,8 +21,8 @@ from sim.sensors.camera.faults import (
 from sim.settings import ImageFaultSettings
 
 RINGS, SECTORS = 8, 32
-EVERY = np.arange(256, dtype=np.uint8)
-FAULTY = ImageFaultSettings(exposure=0.7, vignetting=0.4, read_noise=0.3, shot_noise=0.6, turn_deg=9.0)
+ALL_CODES = np.arange(256, dtype=np.uint8)
+FAULTY_SETTINGS = ImageFaultSettings(exposure=0.7, vignetting=0.4, read_noise=0.3, shot_noise=0.6, turn_deg=9.0)
 
 
 def draw_images(count: int = 3, seed: int = 0) -> np.ndarray:
@@ -34,11 +34,11 @@ def draw_light(seed: int = 0) -> np.ndarray:
 
 
 def test_light_is_that_of_srgb_and_comes_back_as_the_same_code():
-    light = decode(EVERY)
+    light = decode(ALL_CODES)
     assert light[[0, 255]].tolist() == [0.0, 1.0]
     assert light[[10, 128, 188]] == pytest.approx([0.0030353, 0.2158605, 0.5028865], rel=1e-5)  # IEC 61966-2-1, by hand
     assert (np.diff(light) > 0).all()
-    np.testing.assert_array_equal(encode(light), EVERY)
+    np.testing.assert_array_equal(encode(light), ALL_CODES)
     assert encode(np.array([-0.5, 1.5], np.float32)).tolist() == [0, 255]
 
 
@@ -55,7 +55,7 @@ def test_what_is_off_changes_nothing():
 
 
 def test_each_fault_is_one():
-    for name, strength in FAULTY:
+    for name, strength in FAULTY_SETTINGS:
         fault_of = make_develop(ImageFaultSettings(**{name: strength}), np.random.default_rng(0))
         assert fault_of is not None
         assert (fault_of(draw_images()) != draw_images()).mean() > 0.3
@@ -63,14 +63,14 @@ def test_each_fault_is_one():
 
 def test_same_seed_same_bytes_however_many_at_a_time_and_other_seed_others():
     images = draw_images(10)
-    whole = develop(images, FAULTY, spawn_streams(5).noise)
-    piecewise = make_develop(FAULTY, spawn_streams(5).noise)
+    whole = develop(images, FAULTY_SETTINGS, spawn_streams(5).noise)
+    piecewise = make_develop(FAULTY_SETTINGS, spawn_streams(5).noise)
     assert piecewise is not None
     parts = [piecewise(part) for part in np.split(images, [1, 4])]
     np.testing.assert_array_equal(np.concatenate(parts), whole)
-    np.testing.assert_array_equal(develop(images[:4], FAULTY, spawn_streams(5).noise), whole[:4])
+    np.testing.assert_array_equal(develop(images[:4], FAULTY_SETTINGS, spawn_streams(5).noise), whole[:4])
     others = (spawn_streams(6).noise, spawn_streams(5).test_noise)
-    assert all((develop(images, FAULTY, other) != whole).mean() > 0.1 for other in others)
+    assert all((develop(images, FAULTY_SETTINGS, other) != whole).mean() > 0.1 for other in others)
 
 
 def test_noise_has_the_mean_and_variance_of_its_formula():

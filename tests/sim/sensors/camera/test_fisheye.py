@@ -90,12 +90,12 @@ def test_turning_left_shifts_the_polar_image_in_a_circle(room: mujoco.MjModel, f
         before = fisheye.polar(place(room, x, y, yaw))
         for sectors in (1, 17, 64, 111):
             after = fisheye.polar(place(room, x, y, yaw + sectors * SECTOR))
-            assert grey_difference(np.roll(before, -sectors, axis=1), after) < RIGHT
+            assert grey_difference(np.roll(before, -sectors, axis=1), after) < MAX_RIGHT_ERROR
             if sectors != 64:
-                assert grey_difference(np.roll(before, sectors, axis=1), after) > WRONG
+                assert grey_difference(np.roll(before, sectors, axis=1), after) > MIN_WRONG_ERROR
 
 
-RIGHT, WRONG = 1.8, 4.5  # mean grey levels; measured 0.7 to 1.4, and the wrong way 6.4 (one sector) to 35
+MAX_RIGHT_ERROR, MIN_WRONG_ERROR = 1.8, 4.5  # mean grey levels; measured 0.7 to 1.4, and 6.4 (one sector) to 35
 
 
 def find_hits(model: mujoco.MjModel, data: mujoco.MjData, rays: np.ndarray) -> np.ndarray:

@@ -149,7 +149,7 @@ def test_a_lamp_hangs_where_a_person_has_room_and_below_the_ceiling(
     tmp_path: Path, ceiling_m: float | None, lamp_m: float
 ):
     ceiling = f'<geom type="box" size="2 2 .05" pos="0 0 {ceiling_m + 0.05}"/></worldbody>' if ceiling_m else ""
-    (tmp_path / "room.xml").write_text(NARROW.replace("</worldbody>", ceiling or "</worldbody>"))
+    (tmp_path / "room.xml").write_text(NARROW_ROOM.replace("</worldbody>", ceiling or "</worldbody>"))
     room = build_room(RoomSettings(mjcf=str(tmp_path / "room.xml")))
     room.delete(room.site("start"))
     model = room.compile()
@@ -167,7 +167,7 @@ def test_a_person_is_no_part_of_physics_or_free_space():
     assert np.array_equal(changed.free_space.reachable, plain.free_space.reachable)
 
 
-NARROW = """<mujoco><worldbody>
+NARROW_ROOM = """<mujoco><worldbody>
   <site name="start" pos="-1.3 0 0"/>
   <geom type="box" size="1.6 .05 1.2" pos="0 1.25 1.2"/><geom type="box" size="1.6 .05 1.2" pos="0 -1.25 1.2"/>
   <geom type="box" size=".05 1.3 1.2" pos="1.55 0 1.2"/><geom type="box" size=".05 1.3 1.2" pos="-1.55 0 1.2"/>
@@ -175,7 +175,7 @@ NARROW = """<mujoco><worldbody>
 
 
 def test_a_person_needs_no_room_where_the_robot_starts(tmp_path: Path):
-    (tmp_path / "narrow.xml").write_text(NARROW)
+    (tmp_path / "narrow.xml").write_text(NARROW_ROOM)
     room = SimSettings(room=RoomSettings(mjcf=str(tmp_path / "narrow.xml")), camera=CAMERA)
     states = RoomWorld(room, drawn=False).rest_states(np.zeros((1, 3)))
     use = DeploymentSettings.model_validate({"person": True})
@@ -185,12 +185,12 @@ def test_a_person_needs_no_room_where_the_robot_starts(tmp_path: Path):
 
 @pytest.mark.parametrize("source", ["lamps", "windows"])
 def test_a_room_without_materials_has_no_sources(source: Literal["lamps", "windows"]):
-    model = mujoco.MjModel.from_xml_string(NARROW)
+    model = mujoco.MjModel.from_xml_string(NARROW_ROOM)
     assert model.nmat == 0
     assert not len(find_sources(model, source).geoms)
 
 
-OWN = """<mujoco><asset>
+OWN_ROOM = """<mujoco><asset>
   <texture name="sky" type="2d" builtin="flat" width="2" height="2" rgb1="1 1 1"/>
   <material name="pane" texture="sky" emission="1"/><material name="glow" emission="1"/>
 </asset><worldbody>
@@ -202,7 +202,7 @@ OWN = """<mujoco><asset>
 
 
 def test_lamps_and_windows_fixed_to_the_world_are_lights_of_their_own():
-    model = mujoco.MjModel.from_xml_string(OWN)
+    model = mujoco.MjModel.from_xml_string(OWN_ROOM)
     lamps, windows = find_sources(model, "lamps"), find_sources(model, "windows")
     assert sorted(lamps.place[:, 0]) == [-1.0, 1.0] and lamps.strength.min() > 0.01
     assert np.allclose(np.abs(windows.facing), [1.0, 0.0, 0.0]), "a pane shines where it is thinnest"
@@ -210,7 +210,7 @@ def test_lamps_and_windows_fixed_to_the_world_are_lights_of_their_own():
 
 
 def test_where_nothing_shines_no_light_is_scattered():
-    model = mujoco.MjModel.from_xml_string(NARROW)
+    model = mujoco.MjModel.from_xml_string(NARROW_ROOM)
     scene = mujoco.MjvScene(model, 10)
     _set_lights(scene, find_sources(model, "windows"))
     assert not any(light.ambient.any() or light.diffuse.any() for light in scene.lights[: scene.nlight])

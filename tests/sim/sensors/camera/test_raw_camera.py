@@ -10,7 +10,7 @@ from sim.sensors.camera.unwrap import RawCamera, Unwrapping, check_camera, unwra
 
 HALF = np.radians(85.0)
 SIZE, CENTRE = (160, 120), (83.0, 57.0)
-BENT = {
+BENT_LENSES = {
     "equidistant": (0.02, -0.01, 0.003, -0.001),
     "plumb_bob": (-0.2, 0.03, 0.001, -0.002, 0.0),
     "rational_polynomial": (0.1, 0.02, 0.0, 0.001, 0.0, 0.2, 0.05, 0.01),
@@ -42,15 +42,15 @@ def test_a_mirror_image_gives_the_same(image: np.ndarray) -> None:
     assert np.abs(found.astype(int) - wanted).max() <= 1
 
 
-@pytest.mark.parametrize("model", BENT)
+@pytest.mark.parametrize("model", BENT_LENSES)
 def test_projection_is_that_of_opencv(model: str) -> None:
-    camera = RawCamera(model, SIZE, (70.0, 75.0), CENTRE, BENT[model])
+    camera = RawCamera(model, SIZE, (70.0, 75.0), CENTRE, BENT_LENSES[model])
     theta, azimuth = np.meshgrid(np.linspace(0.01, 0.9, 20), np.linspace(-3, 3, 15))
     rays = np.stack([np.sin(theta) * np.cos(azimuth), np.sin(theta) * np.sin(azimuth), np.cos(theta)], axis=-1)
     matrix = np.array([[70.0, 0, CENTRE[0]], [0, 75.0, CENTRE[1]], [0, 0, 1]])
     project = cv2.fisheye.projectPoints if model == "equidistant" else cv2.projectPoints
     none = np.zeros((3, 1))
-    wanted, _ = project(rays.reshape(-1, 1, 3), none, none, matrix, np.array(BENT[model]))
+    wanted, _ = project(rays.reshape(-1, 1, 3), none, none, matrix, np.array(BENT_LENSES[model]))
     found = np.stack(camera.project(theta, azimuth), axis=-1)
     np.testing.assert_allclose(found.reshape(-1, 2), wanted.reshape(-1, 2), atol=1e-6)
 
@@ -60,7 +60,7 @@ def test_a_distorted_image_shows_the_same_as_one_without_distortion(model: str) 
     """A world of colours by direction, seen through two lenses, gives one polar image."""
     half = np.radians(40.0)
     straight = RawCamera("equidistant", (400, 400), (250.0, 250.0), (199.5, 199.5), (0.0,) * 4)
-    bent = RawCamera(model, (400, 400), (240.0, 250.0), (190.0, 205.0), BENT[model])
+    bent = RawCamera(model, (400, 400), (240.0, 250.0), (190.0, 205.0), BENT_LENSES[model])
     polar = [Unwrapping(camera, Lens(half), 16, 64)(paint(camera)) for camera in (straight, bent)]
     assert np.abs(polar[0].astype(int) - polar[1]).max() <= 3
 
