@@ -191,6 +191,8 @@ def _name_limits(schema: Schema) -> list[str]:
 
 
 def _number(value: float) -> str:
+    if value == 2**63 - 1:
+        return "2⁶³ - 1"
     return f"{int(value):,}" if value == int(value) else f"{value:g}"
 
 
