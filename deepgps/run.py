@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from deepgps.config.scenario import Scenario
-from deepgps.evaluation.measure import evaluate
+from deepgps.evaluation.measure_run import evaluate
 from deepgps.methods.train import ask_for_device, train
 from deepgps.runs.collect import collect, draw_views
 from deepgps.runs.provenance import timed

@@ -64,7 +64,7 @@ WITHOUT_MUJOCO = {
     ),
     *(
         "sim.sensors.catalog",
-        "sim.sensors.compass",
+        "sim.sensors.visual_compass",
         "sim.sensors.compass_fit",
         "sim.sensors.camera.lens",
         "sim.sensors.camera.mount",

@@ -10,7 +10,7 @@ from deepgps.api.run import Run, load
 from deepgps.config.plugins import load_plugins
 from deepgps.config.scenario import Scenario, load_scenario, override_scenario
 from deepgps.config.spelling import as_key
-from deepgps.evaluation.measure import evaluate
+from deepgps.evaluation.measure_run import evaluate
 from deepgps.methods.train import train as train_methods
 from deepgps.runs.collect import choose_renderer_for, list_undriven
 from deepgps.runs.run_folder import claim, default_folder, join_methods

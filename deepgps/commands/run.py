@@ -55,7 +55,7 @@ def _run(command: str, words: Sequence[str], about: str | None, last: "Stage") -
     scenario, folder = source.scenario, source.folder
     _check_before_work(arguments, source)
     # These import torch, which takes longer than all checks.
-    from deepgps.evaluation.measure import NO_TESTS
+    from deepgps.evaluation.measure_run import NO_TESTS
     from deepgps.run import run
     from deepgps.runs.collect import write_log
     from deepgps.runs.run_folder import find_place

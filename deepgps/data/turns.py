@@ -23,7 +23,7 @@ from sim.recording.format import Recording
 from sim.recording.turns import KINDS, NO_IMAGE, Turns, from_array
 from sim.sensors.camera.lens import make_lens
 from sim.sensors.camera.mount import Upright
-from sim.sensors.compass import Hypotheses, compare_at_horizon, disambiguate, find_highest, find_lean, find_turns
+from sim.sensors.visual_compass import Hypotheses, compare_at_horizon, disambiguate, find_highest, find_lean, find_turns
 from sim.settings import SimSettings
 
 

@@ -14,7 +14,7 @@ from sim.geometry import wrap
 from sim.recording.format import Recording
 from sim.recording.turns import KINDS, NO_IMAGE, from_array
 from sim.sensors.camera.lens import Lens, make_lens
-from sim.sensors.compass import Hypotheses, disambiguate, find_turns
+from sim.sensors.visual_compass import Hypotheses, disambiguate, find_turns
 from sim.settings import SimSettings
 
 MAX_PAIRS = 300  # Pairs of images of one place, taken on different segments, that are compared

@@ -1,7 +1,7 @@
 """Yaw of one polar image: a table of ring phases at places that cover the map evenly, with the heading of each.
 
 A turn shifts a polar image in a circle, so the peak of the circular cross-correlation with an image of known heading
-is the angle between the two (the visual compass, see ``sim/sensors/compass.py``). The table keeps a few Fourier
+is the angle between the two (the visual compass, see ``sim/sensors/visual_compass.py``). The table keeps a few Fourier
 coefficients of each image, as bytes: it is about 1.5 KB for each 10 cm x 10 cm of the map, however long the drive.
 ``heading_fit`` makes it from a method's own map.
 """
@@ -16,8 +16,8 @@ from scipy import fft
 from scipy.spatial import KDTree
 
 from sim.geometry import wrap
-from sim.sensors.compass import MATCH_FLOOR, MIN_CONTRAST, find_highest
 from sim.sensors.compass_fit import CUTOFF, HIGH_PASS_CYCLES
+from sim.sensors.visual_compass import MATCH_FLOOR, MIN_CONTRAST, find_highest
 
 RINGS, FREQUENCIES = 8, 32  # Rings that the table keeps, each the mean of some of the image's, and cycles per turn
 ANGLE_SAMPLES = 512  # Samples of the correlation in a turn

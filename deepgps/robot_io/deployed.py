@@ -10,7 +10,7 @@ from deepgps.data.features import PRODUCT_FLOOR, Features, make_waves
 from deepgps.positioner import confidence, headings
 from deepgps.positioner.positioner import NetworkPositioner
 from sim.alignment import Alignment
-from sim.sensors.compass import MATCH_FLOOR, MIN_CONTRAST
+from sim.sensors.visual_compass import MATCH_FLOOR, MIN_CONTRAST
 
 
 class FoundYaw(NamedTuple):

@@ -15,7 +15,7 @@ from typing import Literal
 from deepgps.config.plain_yaml import read_yaml
 from deepgps.config.scenario import Scenario
 from deepgps.diagnosis.store import read_diagnosis
-from deepgps.evaluation.measure import read_measured
+from deepgps.evaluation.measure_run import read_measured
 from deepgps.runs.owned_folder import Kind, choose_place, discard, hold, replace
 from deepgps.runs.run_folder import FEATURE_FILES, RUN, TRAINED_FILES
 from deepgps.studies.catalog import PICTURES, REPORTS

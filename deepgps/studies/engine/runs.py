@@ -101,7 +101,7 @@ def do_run(
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
     os.environ["OMP_NUM_THREADS"] = "1"
     try:
-        from deepgps.evaluation.measure import evaluate
+        from deepgps.evaluation.measure_run import evaluate
         from deepgps.studies.engine.trainings import leave_trainings, take_trainings
 
         load_plugins(plugins)

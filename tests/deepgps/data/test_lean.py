@@ -30,7 +30,7 @@ from sim.recording.format import Recording, open_recording, open_truth
 from sim.recording.turns import Turns
 from sim.sensors.camera.lens import make_lens
 from sim.sensors.camera.mount import Upright
-from sim.sensors.compass import Hypotheses
+from sim.sensors.visual_compass import Hypotheses
 from sim.settings import (
     CameraMountSettings,
     CameraSettings,

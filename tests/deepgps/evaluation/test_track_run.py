@@ -10,7 +10,7 @@ import pytest
 
 from deepgps.api.run import load
 from deepgps.evaluation.in_use import open_drive_in_use
-from deepgps.evaluation.measure import read_measured
+from deepgps.evaluation.measure_run import read_measured
 from deepgps.evaluation.stored_alignment import read_alignment
 from deepgps.runs.owned_folder import hold
 from deepgps.runs.run_folder import RUN

@@ -12,7 +12,7 @@ from sim.robot.world import RoomWorld
 from sim.sensors.camera.faults import develop
 from sim.sensors.camera.fisheye import Fisheye
 from sim.sensors.camera.lens import make_lens
-from sim.sensors.compass import Hypotheses, _correct, disambiguate, find_highest, find_lean, find_turns, follow
+from sim.sensors.visual_compass import Hypotheses, _correct, disambiguate, find_highest, find_lean, find_turns, follow
 from sim.settings import CameraSettings, DeploymentSettings, ImageFaultSettings, RoomKind, RoomSettings, SimSettings
 
 LENS = make_lens(CameraSettings())
