@@ -3,9 +3,7 @@
 from collections.abc import Sequence
 from itertools import zip_longest
 
-from pydantic import (
-    ValidationError,
-)
+from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from deepgps.config.spelling import find_group, find_like, find_settings_like, find_type, suggest

@@ -3,13 +3,7 @@
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, get_args
 
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    Field,
-    ValidationInfo,
-    field_validator,
-)
+from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 from pydantic_core import PydanticCustomError
 
 Seed = Annotated[int, Field(ge=0, le=2**63 - 1)]  # A seed; the largest is the largest integer that tables hold
