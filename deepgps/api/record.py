@@ -108,7 +108,9 @@ def write_recording(
     if kind not in SENSOR_NAMES:
         raise InputError(f"kind {quote(kind)}: must be {', '.join(SENSOR_NAMES)}")
     observation, sensor = _take(observations, DIMENSIONS[kind], "observations", kind), SENSOR_NAMES[kind]
-    reading, seconds = _take_readings(readings, time, len(observation), odometry)
+    reading, seconds = np.asarray(readings), np.asarray(time, float)
+    check_readings(reading, seconds, len(observation), check_odometry(odometry))
+    reading = reading.astype(np.int64)
     test = _take_tests(test_observations, observation, DIMENSIONS[kind])
     turned = _take_turns(turns, turn_observations, observation, reading)
     stamps = stamp(reading[:, 1], seconds, len(observation)) if observation_time is None else observation_time
@@ -188,14 +190,6 @@ def _take(values: Any, axes: int, name: str, kind: ObservationKind) -> np.ndarra
         raise InputError(f"{name} {array.shape} {array.dtype}: must be (N, rings, sectors, 3) uint8 RGB")
     check_observations(array, name)
     return np.ascontiguousarray(array) if kind == "polar_image" else array.astype(np.float32, order="C")
-
-
-def _take_readings(
-    readings: Any, time: Any, observations: int, odometry: Mapping[str, Any]
-) -> tuple[np.ndarray, np.ndarray]:
-    reading, seconds = np.asarray(readings), np.asarray(time, float)
-    check_readings(reading, seconds, observations, check_odometry(odometry))
-    return reading.astype(np.int64), seconds
 
 
 def _take_tests(values: Any, observation: np.ndarray, axes: int) -> np.ndarray:

@@ -201,18 +201,15 @@ class Run:
         """
         import pyarrow as pa
 
-        fields = self._read_fields()
-        names = list(fields) if method is None else [method]
-        if unknown := [name for name in names if name not in fields]:
-            raise InputError(f"method {quote(unknown[0])}: {self.folder} has measured {', '.join(fields)}")
-        return pa.concat_tables([_tabulate(name, fields[name]) for name in names])
-
-    def _read_fields(self) -> "dict[str, ErrorField]":
         from deepgps.evaluation.error_field import read_all_headings
 
         if not (self.folder / "error_field.npz").is_file():
             raise InputError(f"{self.folder} has not been evaluated: it has no error_field.npz")
-        return read_all_headings(self.folder)
+        fields = read_all_headings(self.folder)
+        names = list(fields) if method is None else [method]
+        if unknown := [name for name in names if name not in fields]:
+            raise InputError(f"method {quote(unknown[0])}: {self.folder} has measured {', '.join(fields)}")
+        return pa.concat_tables([_tabulate(name, fields[name]) for name in names])
 
     def choose(self, method: str | None) -> str:
         """The name of a trained method; None: the first of the run. Raises InputError if it is not trained."""
@@ -231,14 +228,6 @@ class Run:
             raise InputError(f"{self.folder / 'recording'} names no sensor")
         return kind
 
-    def _as_recorded(self, observations: np.ndarray) -> np.ndarray:
-        array = np.asarray(observations)
-        if self._kind != "polar_image":
-            return array.astype(np.float32)
-        if array.dtype != np.uint8:
-            raise InputError(f"observations {array.shape} {array.dtype}: polar images must be uint8, as recorded")
-        return array
-
     @cached_property
     def _positioners(self) -> "dict[str, Positioner]":
         return {}
@@ -254,7 +243,11 @@ class Run:
 
     def _take(self, observations: np.ndarray, method: str | None) -> tuple[str, np.ndarray, bool]:
         """The method's name, an array of observations, and whether only one was given."""
-        name, array = self.choose(method), self._as_recorded(observations)
+        name, array = self.choose(method), np.asarray(observations)
+        if self._kind != "polar_image":
+            array = array.astype(np.float32)
+        elif array.dtype != np.uint8:
+            raise InputError(f"observations {array.shape} {array.dtype}: polar images must be uint8, as recorded")
         single = array.ndim == DIMENSIONS[self._kind] - 1
         return name, array[None] if single else array, single
 

@@ -2,15 +2,20 @@
 
 import contextlib
 import io
+import os
 import re
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import fields
+from functools import partial
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Annotated, Any, get_args, get_type_hints
 
 import tyro
 
 from deepgps.config.spelling import as_option, find_like, suggest
+from deepgps.terminal.console import print_error
 from sim.errors import InputError, shorten
 
 OptionalFolder = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")]
@@ -32,7 +37,7 @@ def parse(kind: Any, command: str, words: Sequence[str], about: str | None) -> A
     for word in words:
         name = word.partition("=")[0]
         if name.startswith("--") and name not in options:
-            hint = suggest([find_like(name, options)]) or _list_options(options)
+            hint = suggest([find_like(name, options)]) or f"; there are {', '.join(options) or 'none'}"
             raise InputError(f"deepgps {command}: there is no option {shorten(name)}{hint}")
     _refuse_empty(command, words)
     said = io.StringIO()
@@ -41,6 +46,16 @@ def parse(kind: Any, command: str, words: Sequence[str], about: str | None) -> A
             return tyro.cli(kind, args=list(words), prog=f"deepgps {command}", config=CONFIG)
     except SystemExit:
         raise InputError(f"deepgps {command}: {_first_sentence(said.getvalue())}") from None
+
+
+def watch(live: tuple[str, ...] | None, view: str, otherwise: Any, *arguments: Any) -> AbstractContextManager[Any]:
+    """The live view "module:function" of deepgps.viewer if one is asked for, else what it would have yielded."""
+    if live is None:
+        return nullcontext(otherwise)
+    # Rerun reads this when it is imported. It also raises what it would log, and a lost viewer deserves only one line.
+    os.environ.setdefault("RUST_LOG", "off")
+    warn = partial(print_error, "warning")
+    return resolve_name(f"deepgps.viewer.{view}")(" ".join(live), *arguments, warn)
 
 
 def list_options(kind: Any) -> list[str]:
@@ -61,10 +76,6 @@ def _refuse_empty(command: str, words: Sequence[str]) -> None:
         option = word.removesuffix("=") if word.startswith("--") else before if before.startswith("--") else ""
         if not word or (word.startswith("--") and word.endswith("=")):
             raise InputError(f"deepgps {command}: {shorten(option) or 'an argument'} is empty")
-
-
-def _list_options(options: Sequence[str]) -> str:
-    return f"; there are {', '.join(options)}" if options else "; there are none"
 
 
 def _first_sentence(said: str) -> str:

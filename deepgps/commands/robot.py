@@ -1,18 +1,16 @@
 """The commands between deepgps and a robot: import its logs, locate its images, export what was learned."""
 
 import json
-import os
 import sys
 from collections.abc import Sequence
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from deepgps.commands.parse import Live, OptionalFile, OptionalFolder, OptionalMethod, Plugins, RunFolder, parse
-from deepgps.terminal.console import errors, print_error, quote_path, say
+from deepgps.commands.parse import Live, OptionalFile, OptionalFolder, OptionalMethod, Plugins, RunFolder, parse, watch
+from deepgps.terminal.console import errors, quote_path, say
 from deepgps.terminal.failures import working_in
 from deepgps.terminal.progress import show_progress
 from sim.errors import InputError, WorkError
@@ -124,10 +122,11 @@ def locate_command(words: Sequence[str]) -> None:
     run, wrong, total = load(arguments.run, arguments.plugin), 0, 0
     frame = arguments.frame or run.choose_frame(arguments.method)
     wish = Wish(arguments.method, frame, circle, arguments.config, arguments.track, arguments.causes)
+    room, hide = (run.folder / "recording", frame == "world"), lambda *_: None
     with (
         show_progress(errors, quiet_s=2.0) as progress,
         locate_source(run, arguments.source, sys.stdin.buffer, wish, progress) as found,
-        _watch_located(arguments.live, run.folder / "recording", frame == "world") as show,
+        watch(arguments.live, "located:show_located", hide, *room) as show,
     ):
         for one in found:
             print(json.dumps(describe(one, frame)), flush=True)
@@ -137,16 +136,6 @@ def locate_command(words: Sequence[str]) -> None:
             wrong, total = wrong + (one.pose is None), total + 1
     if wrong:
         raise WorkError(f"{wrong} of {total} images could not be located; their lines say why")
-
-
-def _watch_located(live: tuple[str, ...] | None, recording: Path, in_world: bool) -> AbstractContextManager[Any]:
-    """What is called with each pose: it shows them in a viewer if that is asked for."""
-    if live is None:
-        return nullcontext(lambda *_: None)
-    os.environ.setdefault("RUST_LOG", "off")  # as for the live view of a run
-    from deepgps.viewer.located import show_located
-
-    return show_located(" ".join(live), recording, in_world, lambda text: print_error("warning", text))
 
 
 @dataclass(frozen=True)
@@ -177,17 +166,12 @@ class ExportArguments:
     plugin: Plugins = ()
     """Files of plugins that define methods of the run."""
 
-    def list_formats(self) -> "list[Literal['tum', 'csv']]":
-        """The formats of trajectories that are asked for."""
-        chosen = {"tum": self.tum, "csv": self.csv}
-        return [name for name in ("tum", "csv") if chosen[name]]
-
 
 def export_command(words: Sequence[str]) -> None:
     """Write trajectories for other tools, or a trained method as a folder for a robot."""
     arguments = parse(ExportArguments, "export", words, export_command.__doc__)
     raw = parse_round_image(arguments.centre, arguments.radius_px, arguments.forward_deg)
-    if not (arguments.onnx or arguments.mcap or arguments.list_formats()):
+    if not (arguments.onnx or arguments.mcap or arguments.tum or arguments.csv):
         raise InputError("deepgps export needs at least one of --tum, --csv, --mcap, --onnx")
     if raw is not None and not arguments.onnx:
         raise InputError("--centre and --radius-px are for --onnx")
@@ -197,7 +181,10 @@ def export_command(words: Sequence[str]) -> None:
     run, method, frame = load(arguments.run, arguments.plugin), arguments.method, arguments.frame
     folder, written = arguments.out or default_folder(arguments.run), []
     with working_in(folder), show_progress(errors) as progress:
-        formats = arguments.list_formats()
+        formats: list[Literal["tum", "csv"]] = [
+            *(["tum"] if arguments.tum else []),
+            *(["csv"] if arguments.csv else []),
+        ]
         if formats or arguments.mcap:
             written += export_drives(run, folder, method, frame, formats, arguments.mcap, progress)
         if arguments.onnx:

@@ -1,19 +1,16 @@
 """The commands that run a scenario, or some of its stages."""
 
-import os
 import time
 from collections.abc import Sequence
-from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deepgps.commands.begin import START_S
-from deepgps.commands.scenario import RunArguments, parse_scenario
-from deepgps.config.scenario import Scenario
-from deepgps.runs.source import Source
-from deepgps.terminal.console import console, errors, print_error, quote_path, say
+from deepgps.commands.parse import watch
+from deepgps.commands.scenario import parse_scenario
+from deepgps.terminal.console import console, errors, quote_path, say
 from deepgps.terminal.failures import working_in
-from deepgps.terminal.progress import Report, show_progress
+from deepgps.terminal.progress import show_progress
 
 if TYPE_CHECKING:
     from deepgps.run import Stage
@@ -53,18 +50,22 @@ def _run(command: str, words: Sequence[str], about: str | None, last: "Stage") -
     """Run a command's stages up to the last one; returns the run's folder and figures, and says why there are none."""
     arguments, source = parse_scenario(command, words, about)
     scenario, folder = source.scenario, source.folder
-    _check_before_work(arguments, source)
+    from deepgps.runs.collect import check_log, choose_renderer_for, list_undriven, write_log
+
+    if arguments.log is not None:
+        check_log(arguments.log, scenario)
+    elif source.recording is None:
+        choose_renderer_for(list_undriven(scenario, folder, arguments.fresh))
     # These import torch, which takes longer than all checks.
     from deepgps.evaluation.measure_run import NO_TESTS
     from deepgps.run import run
-    from deepgps.runs.collect import write_log
     from deepgps.runs.run_folder import find_place
 
     place = find_place(folder, arguments.fresh)
     with (
         working_in(folder),
         show_progress(errors) as progress,
-        _watch(arguments, scenario, place, progress) as report,
+        watch(arguments.live, "live:show_live", progress, scenario, place, progress) as report,
     ):
         metrics = run(scenario, folder, arguments.fresh, report, source.recording, last)
         if arguments.log is not None:
@@ -72,26 +73,3 @@ def _run(command: str, words: Sequence[str], about: str | None, last: "Stage") -
     if metrics is None and last in {"evaluate", "show"}:
         say(f"{folder}: {NO_TESTS}")
     return folder, metrics
-
-
-def _check_before_work(arguments: RunArguments, source: Source) -> None:
-    """Check what the drive needs: that its log can be written, or that something can render it."""
-    from deepgps.runs.collect import check_log, choose_renderer_for, list_undriven
-
-    if arguments.log is not None:
-        check_log(arguments.log, source.scenario)
-    elif source.recording is None:
-        choose_renderer_for(list_undriven(source.scenario, source.folder, arguments.fresh))
-
-
-def _watch(
-    arguments: RunArguments, scenario: Scenario, folder: Path, progress: Report
-) -> AbstractContextManager[Report]:
-    """The progress callback for the stages: the live view of a run if one is asked for, else ``progress`` itself."""
-    if arguments.live is None:
-        return nullcontext(progress)
-    # Rerun reads this when it is imported. It also raises what it would log, and a lost viewer deserves only one line.
-    os.environ.setdefault("RUST_LOG", "off")
-    from deepgps.viewer.live import show_live
-
-    return show_live(" ".join(arguments.live), scenario, folder, progress, lambda text: print_error("warning", text))

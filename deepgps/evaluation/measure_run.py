@@ -39,19 +39,14 @@ def evaluate(scenario: Scenario, folder: Path, progress: Report) -> dict[str, An
         path, measure = folder / TRUTHLESS_METRICS, without_truth.judge
     with timed(folder, "evaluate"):
         measured = measure(folder, scenario, progress)
-    remove_recording_of_run(folder)
+    drop_sum(folder / "run.rrd")  # it shows figures that are about to change, and is made again with the new ones
+    (folder / "run.rrd").unlink(missing_ok=True)
     if path.name == METRICS:
         head = {"scenario": scenario.title, "seed": scenario.seed}
         made_with = describe_environment(folder, measured["methods"].values())
         measured = {**head, **measured, "timing_s": stage_times(folder), "environment": made_with}
     write_json(path, measured)
     return read_json(path)
-
-
-def remove_recording_of_run(folder: Path) -> None:
-    """Remove the Rerun recording of figures that are about to change; it is made again with the new ones."""
-    drop_sum(folder / "run.rrd")
-    (folder / "run.rrd").unlink(missing_ok=True)
 
 
 def read_measured(folder: Path) -> dict[str, Any] | None:

@@ -67,7 +67,9 @@ def track_run(run: Path, method: str | None, drive: Path | None, progress: Repor
 def _track_held(run: Path, scenario: Scenario, method: str | None, drive: Path | None, progress: Report) -> Tracked:
     name = _choose(run, scenario.methods, method)
     recording, path = _open_drive(run, drive, name)
-    alignment = _find_alignment(folder_of(run, name), recording)
+    # there should be one where the truth of this drive and that of training are known
+    wanted, folder = has_truth(recording.folder) and has_truth(run / "recording"), folder_of(run, name)
+    alignment = read_alignment(folder) if wanted or has_alignment(folder) else None
     device = find_device(scenario.learn.train.device)
     with use_threads(scenario.learn.train.threads):
         trained = load_positioner(folder_of(run, name), device)
@@ -127,15 +129,6 @@ def _open_drive(run: Path, drive: Path | None, method: str) -> tuple[Recording, 
             f"{run} has no drive in use, which --deployment.drive-samples makes; or name the folder of a recording"
         )
     return recording, run / FOLDER / method
-
-
-def _find_alignment(folder: Path, recording: Recording) -> Alignment | None:
-    """The alignment of a method's map with the world; None: there is none.
-
-    Raises InputError if there should be one, since the truth of this drive and that of training are known.
-    """
-    wanted = has_truth(recording.folder) and has_truth(folder.parent / "recording")
-    return read_alignment(folder) if wanted or has_alignment(folder) else None
 
 
 def _open_reference(alignment: Alignment, recording: Recording, track: Track) -> Reference:

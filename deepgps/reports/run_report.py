@@ -60,12 +60,6 @@ def tabulate(metrics: Mapping[str, Any], columns: Sequence[Column] = COLUMNS) ->
     return headings, [row for name, values in metrics["methods"].items() for row in _rows(name, values, columns)]
 
 
-def describe_time(times: Mapping[str, float]) -> str:
-    """Describe in a sentence how long each stage took."""
-    parts = ", ".join(f"{name} {float(value):.1f} s" for name, value in times.items())
-    return f"Time: {parts}; {sum(times.values()):.1f} s in all."
-
-
 def read_times(run: Path, metrics: Mapping[str, Any]) -> dict[str, float]:
     """Seconds of each stage of a run in all sittings; if ``timing.json`` cannot be read, those in the metrics."""
     try:
@@ -101,6 +95,8 @@ def describe(metrics: Mapping[str, Any], times: Mapping[str, float] | None = Non
     if trajectory := metrics.get("trajectory"):
         error = f"RMS {trajectory['rms_m']:.2f} m, at most {trajectory['max_m']:.2f} m"
         sentences.append(f"The dead-reckoned path, best aligned with the true one, is off by {error}.")
+    stages: Mapping[str, float] = metrics["timing_s"] if times is None else times
+    parts = ", ".join(f"{name} {float(value):.1f} s" for name, value in stages.items())
     return [
         *sentences,
         f"{seen} of {reachable} {places} ({100 * seen / max(reachable, 1):.1f} %) are within "
@@ -112,7 +108,7 @@ def describe(metrics: Mapping[str, Any], times: Mapping[str, float] | None = Non
         *_describe_maps(methods),
         *_describe_leans(methods),
         *_describe_in_use(metrics),
-        describe_time(metrics["timing_s"] if times is None else times),
+        f"Time: {parts}; {sum(stages.values()):.1f} s in all.",
     ]
 
 

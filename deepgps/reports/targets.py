@@ -39,14 +39,10 @@ class Figure:
     interval: tuple[float, float] | None = None  # Its 95 % interval, where there are enough values behind it
 
 
-def mean_of(title: str, values: Sequence[float], unit: str, at_least: bool = False) -> Figure:
-    """The mean of values, such as one for each room, with the worst of them and an interval by bootstrap."""
-    return _summarise(title, np.mean, values, unit, at_least)
-
-
-def median_of(title: str, values: Sequence[float], unit: str, at_least: bool = False) -> Figure:
-    """The same of their median."""
-    return _summarise(title, np.median, values, unit, at_least)
+def middle_of(title: str, middle: Callable, values: Sequence[float], unit: str, at_least: bool = False) -> Figure:
+    """The mean or median of values, such as one for each room, with the worst of them and an interval by bootstrap."""
+    worst = min(values) if at_least else max(values)
+    return Figure(title, float(middle(values)), unit, at_least, float(worst), _resample(middle, values))
 
 
 def share_of(title: str, held: Sequence[bool], at_least: bool = True) -> Figure:
@@ -64,12 +60,8 @@ def share_of(title: str, held: Sequence[bool], at_least: bool = True) -> Figure:
 def ratio_of(title: str, ours: Sequence[float], theirs: Sequence[float]) -> Figure:
     """The ratio of two means over the same cases, such as rooms, with that of the worst case."""
     value, worst = float(np.mean(ours) / np.mean(theirs)), float(np.max(np.divide(ours, theirs)))
-    return Figure(title, value, "", worst=worst, interval=_resample(_divide_means, ours, theirs))
-
-
-def _summarise(title: str, middle: Callable, values: Sequence[float], unit: str, at_least: bool) -> Figure:
-    worst = min(values) if at_least else max(values)
-    return Figure(title, float(middle(values)), unit, at_least, float(worst), _resample(middle, values))
+    interval = _resample(lambda ours, theirs, axis: ours.mean(axis=axis) / theirs.mean(axis=axis), ours, theirs)
+    return Figure(title, value, "", worst=worst, interval=interval)
 
 
 def _resample(middle: Callable, *values: Sequence[float]) -> tuple[float, float] | None:
@@ -82,10 +74,6 @@ def _resample(middle: Callable, *values: Sequence[float]) -> tuple[float, float]
     return float(low), float(high)
 
 
-def _divide_means(ours: np.ndarray, theirs: np.ndarray, axis: int) -> np.ndarray:
-    return ours.mean(axis=axis) / theirs.mean(axis=axis)
-
-
 def tabulate_targets(figures: Mapping[str, Figure], target: Mapping[str, float], paper: Mapping[str, float]) -> str:
     """A Markdown table of figures by name, with the targets and the paper's figures of the same names."""
     rows = []
@@ -96,7 +84,7 @@ def tabulate_targets(figures: Mapping[str, Figure], target: Mapping[str, float],
             [
                 figure.title,
                 write(figure.value, figure.unit),
-                _write_interval(figure),
+                "-" if figure.interval is None else " to ".join(write(end, figure.unit) for end in figure.interval),
                 write(figure.worst, figure.unit),
                 "-" if wanted is None else sign + write(wanted, figure.unit),
                 judge(figure.value, wanted, figure.at_least) or "-",
@@ -104,10 +92,6 @@ def tabulate_targets(figures: Mapping[str, Figure], target: Mapping[str, float],
             ]
         )
     return tabulate(["figure", "measured", "95 % interval", "worst", "target", "verdict", "paper"], rows)
-
-
-def _write_interval(figure: Figure) -> str:
-    return "-" if figure.interval is None else " to ".join(write(end, figure.unit) for end in figure.interval)
 
 
 def judge(value: float | None, target: float | None, at_least: bool = False) -> str:

@@ -173,7 +173,9 @@ def draw_segments(length: np.ndarray, error: np.ndarray) -> Figure:
         error_mm = 1000 * error
         cloud.axhline(0, color="#888888", linewidth=0.8)
         cloud.scatter(length, error_mm, s=9, color=ENCODER_COLOUR, alpha=0.6, linewidths=0)
-        middle, rms = _rms_along(length, error_mm)
+        order = np.array_split(np.argsort(length), min(10, len(length)))
+        middle = [length[part].mean() for part in order]
+        rms = np.array([np.sqrt(np.mean(error_mm[part] ** 2)) for part in order])
         cloud.plot(middle, rms, color=TRUE_COLOUR, linewidth=1.6, label="± RMS of segments of similar length")
         cloud.plot(middle, -rms, color=TRUE_COLOUR, linewidth=1.6)
         cloud.set(xlabel="length of the segment [m]", ylabel="encoder minus truth [mm]", xlim=(0, None))
@@ -189,9 +191,3 @@ def draw_segments(length: np.ndarray, error: np.ndarray) -> Figure:
             f"Error of {len(error)} segments: RMS {rms_mm:.3g} mm, mean {error_mm.mean():+.3g} mm", fontsize=12
         )
     return figure
-
-
-def _rms_along(length: np.ndarray, error: np.ndarray, parts: int = 10) -> tuple[np.ndarray, np.ndarray]:
-    order = np.array_split(np.argsort(length), min(parts, len(length)))
-    mean = np.array([length[part].mean() for part in order])
-    return mean, np.array([np.sqrt(np.mean(error[part] ** 2)) for part in order])

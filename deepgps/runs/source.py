@@ -34,34 +34,33 @@ class Source:
     recording: Path | None = None  # The recording to train on, if it is not the run's own
 
 
-def find_source(
-    name: str, overrides: Mapping[str, Any], out: Path | None, fresh: bool = False, spell: Spell = as_option
-) -> Source:
+def find_source(name: str, overrides: Mapping[str, Any], out: Path | None, fresh: bool = False) -> Source:
     """Find the scenario, the run or the recording of a name in assets/scenarios, a YAML file's path, or a folder.
 
     Without ``out``, the run's folder is the default of what is found; with ``fresh``, what is in it does not matter.
-    ``spell`` is how messages write overrides' names. Raises InputError if nothing has the name, or a setting is wrong.
+    Raises InputError if nothing has the name, or a setting is wrong.
     """
     if name not in names_in(SCENARIOS) and Path(name).is_dir():
-        return _find_folder(Path(name), overrides, out, fresh, spell)
-    scenario = load_scenario(name, overrides, spell)
+        return _find_folder(Path(name), overrides, out, fresh)
+    scenario = load_scenario(name, overrides, as_option)
     folder = out or default_folder(scenario)
     return Source(scenario if fresh else join_methods(scenario, folder), folder)
 
 
-def _find_folder(folder: Path, overrides: Mapping[str, Any], out: Path | None, fresh: bool, spell: Spell) -> Source:
+def _find_folder(folder: Path, overrides: Mapping[str, Any], out: Path | None, fresh: bool) -> Source:
     recording = folder if isfile(folder / MANIFEST) else folder / "recording"
     if isfile(folder / RUN.first):
         held = open_run(folder)
-        scenario = override_scenario(held.model_dump(mode="json"), folder / RUN.first, overrides, spell)
+        scenario = override_scenario(held.model_dump(mode="json"), folder / RUN.first, overrides, as_option)
         if (out is None or out.resolve() == folder.resolve()) and set(overrides) <= {"methods"}:
-            _refuse_part_of_study(folder)
+            if isfile(folder.resolve().parent.parent / "study.yaml"):
+                raise InputError(f"{folder} is a run of a study, which is not changed: name another folder with --out")
             return Source(scenario if fresh else join_methods(scenario, folder), folder, find_adopted(folder))
-        refuse_settings_of_drive(scenario, held, recording, overrides, spell)
+        refuse_settings_of_drive(scenario, held, recording, overrides, as_option)
     elif isfile(recording / MANIFEST):
         defaults = {"methods": list(DEFAULT_METHODS)}
         scenario = describe_recording(recording, {**defaults, **overrides})
-        refuse_settings_of_drive(scenario, describe_recording(recording, defaults), recording, overrides, spell)
+        refuse_settings_of_drive(scenario, describe_recording(recording, defaults), recording, overrides, as_option)
     else:
         raise InputError(_describe_strange(folder))
     if not isfile(recording / MANIFEST):
@@ -83,11 +82,6 @@ def refuse_settings_of_drive(
             f"{', '.join(map(spell, made))}: the recording {recording} is made already; "
             f"with it, only {spell('methods')}, {spell('name')} and {spell('learn')}.* can be set"
         )
-
-
-def _refuse_part_of_study(folder: Path) -> None:
-    if isfile(folder.resolve().parent.parent / "study.yaml"):
-        raise InputError(f"{folder} is a run of a study, which is not changed: name another folder with --out")
 
 
 def _describe_strange(folder: Path) -> str:

@@ -37,7 +37,8 @@ def plan_runs(study: Study, progress: Report = ignore) -> list[Plan]:
     """
     total = len(study.cases) * math.prod(map(len, study.axes.values())) * len(study.seeds)
     if total > MAX_RUNS:
-        raise InputError(f"study {study.name} has {_write_count(total)} runs; a study has at most {MAX_RUNS}")
+        count = total if total < 10**12 else "more than 10^12"
+        raise InputError(f"study {study.name} has {count} runs; a study has at most {MAX_RUNS}")
     points = list(_points(study))
     total = len(points)
     plan_one, plans, problems, wrong = _make_planner(study), [], {}, 0
@@ -125,10 +126,6 @@ def _refuse_namesakes(study: Study, plans: Sequence[Plan]) -> None:
 
 def _find_file(source: str) -> Path:
     return find_settings("scenario", SCENARIOS, source).resolve()
-
-
-def _write_count(count: int) -> str:
-    return str(count) if count < 10**12 else "more than 10^12"
 
 
 def _points(study: Study) -> Iterator[tuple[int, Point]]:

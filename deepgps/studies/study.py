@@ -135,10 +135,12 @@ def load_study(source: str, tiny: bool, full: bool = False) -> Study:
         study = Study.model_validate({"name": clean_name(path.stem), **read_yaml(path)})
     except ValidationError as error:
         raise InputError(f"{shorten(str(path), 300)}: {describe_problems(error, Study)}") from None
-    if full:
-        study = _enlarge(study)
-    if tiny:
-        study = _shrink(study)
+    if full and study.full is None:
+        raise InputError(f"study {study.name} has no long version: --full takes what a study's full describes")
+    if full and study.full:
+        study = _replace(study, study.full, "full")
+    if tiny:  # targets say nothing about so small a study
+        study = _replace(study, study.tiny, "tiny").model_copy(update={"target": {}, "paper": {}})
     return _seek_scenarios(study, path.parent)
 
 
@@ -150,17 +152,6 @@ def write_out(study: Study) -> str:
 def _are_numbers(axes: Sequence[Any]) -> bool:
     values = [value for axis in axes for value in (axis if isinstance(axis, list | tuple) else [None])]
     return bool(values) and all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
-
-
-def _shrink(study: Study) -> Study:
-    small = _replace(study, study.tiny, "tiny")
-    return small.model_copy(update={"target": {}, "paper": {}})  # targets say nothing about so small a study
-
-
-def _enlarge(study: Study) -> Study:
-    if study.full is None:
-        raise InputError(f"study {study.name} has no long version: --full takes what a study's full describes")
-    return _replace(study, study.full, "full")
 
 
 def _replace(study: Study, other: Variation, kind: str) -> Study:

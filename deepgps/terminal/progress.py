@@ -64,9 +64,8 @@ class Lines:
         now = self._clock()
         stage = self._stages.setdefault(label, _Stage(done, now))
         if now - stage.begun >= self._quiet_s and self._is_due(stage, now, done, total):
-            self._say(
-                f"{label}: {done:,} of {total:,}{_write_share(done, total)}{_write_speed(stage, now, done, total)}"
-            )
+            share = f" ({100 * done // total} %)" if total else ""
+            self._say(f"{label}: {done:,} of {total:,}{share}{_write_speed(stage, now, done, total)}")
             stage.said, stage.at = done, now
 
     def _is_due(self, stage: _Stage, now: float, done: int, total: int) -> bool:
@@ -74,10 +73,6 @@ class Lines:
             return True
         tenths = 10 * done // max(total, 1) - 10 * stage.said // max(total, 1)
         return done != stage.said and (done >= total or tenths > 0 or now - stage.at >= self.PERIOD_S)
-
-
-def _write_share(done: int, total: int) -> str:
-    return f" ({100 * done // total} %)" if total else ""
 
 
 def _write_speed(stage: _Stage, now: float, done: int, total: int) -> str:

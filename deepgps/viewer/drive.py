@@ -47,10 +47,16 @@ def log_drive(stream: rr.RecordingStream, recording: Recording, truth: Truth, la
     seen, first = np.unique(observation, return_index=True)
     log_robot(stream, find_track_m(recording), camera_of(recording).height_m)
     log_poses(stream, truth.pose[seen], clock(recording.time[first]))
-    log_path(
-        stream, "world/drive", segment, truth.pose[observation, :2], (TRUE_COLOUR, LEG_COLOUR), recording.time, clock
-    )
-    _log_distances(stream, recording, truth)
+    log_path(stream, "world/drive", segment, truth.pose[observation, :2], (TRUE_COLOUR, LEG_COLOUR), recording.time, clock)
+    encoder, true, difference = measure_distances(recording, truth.pose)
+    for path, values, label, colour in (
+        ("distance/encoder", encoder, "by encoder", ODOMETRY_COLOUR),
+        ("distance/truth", true, "true", TRUE_COLOUR),
+        ("segment_error", 1000 * (encoder - true), "encoder minus truth", WRONG_COLOUR),
+        ("difference", 1000 * difference, "encoder minus truth, cumulative", WRONG_COLOUR),
+    ):
+        send_series(stream, f"drive/{path}", clock(recording.time), values, label, colour)
+    log_ticks(stream, recording)
     log_images(stream, recording)
     if large:
         shown = [number for number in large if number in set(seen.tolist())]
@@ -117,7 +123,11 @@ def log_images(stream: rr.RecordingStream, recording: Recording) -> None:
         warp = make_warp(camera_of(recording), rings, sectors, ROUND_PX)
         log_polar(stream, (np.asarray(recording.observation[number]) for number in seen), warp, at)
     if recording.kind == "scan":
-        _log_scans(stream, np.asarray(recording.observation[seen, 0]), at)
+        scans = np.asarray(recording.observation[seen, 0])
+        angle = 2.0 * np.pi * np.arange(scans.shape[1]) / scans.shape[1]
+        ends = scans[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        points, style = {"positions": lift(ends.reshape(-1, 2), LAYER_M)}, {"radii": 0.012, "colors": RIGHT_COLOUR}
+        send_rows(stream, f"{ROBOT}/scan", rr.Points3D, at, points, style, [scans.shape[1]] * len(scans))
     for name in _find_images(recording):
         grey = recording.others[name]
         coloured = (np.repeat(grey[number][..., None], 3, axis=2) for number in seen)
@@ -184,26 +194,6 @@ def find_track_m(recording: Recording) -> float:
     return float(recording.manifest.odometry["track_m"]) / (1.0 + wrong)
 
 
-def _log_distances(stream: rr.RecordingStream, recording: Recording, truth: Truth) -> None:
-    encoder, true, difference = measure_distances(recording, truth.pose)
-    at = drive_clock(recording)(recording.time)
-    for path, values, label, colour in (
-        ("distance/encoder", encoder, "by encoder", ODOMETRY_COLOUR),
-        ("distance/truth", true, "true", TRUE_COLOUR),
-        ("segment_error", 1000 * (encoder - true), "encoder minus truth", WRONG_COLOUR),
-        ("difference", 1000 * difference, "encoder minus truth, cumulative", WRONG_COLOUR),
-    ):
-        send_series(stream, f"drive/{path}", at, values, label, colour)
-    log_ticks(stream, recording)
-
-
 def _find_images(recording: Recording) -> list[str]:
     """Names of the sensors, except the first, that take pictures."""
     return [name for name in recording.others if recording.manifest.sensors[name] == "image"]
-
-
-def _log_scans(stream: rr.RecordingStream, scans: np.ndarray, at: Rows) -> None:
-    angle = 2.0 * np.pi * np.arange(scans.shape[1]) / scans.shape[1]
-    ends = scans[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    points, style = {"positions": lift(ends.reshape(-1, 2), LAYER_M)}, {"radii": 0.012, "colors": RIGHT_COLOUR}
-    send_rows(stream, f"{ROBOT}/scan", rr.Points3D, at, points, style, [scans.shape[1]] * len(scans))

@@ -45,6 +45,7 @@ def make_blueprint(
     It takes titles of the sensors' pictures by name, and the method, if any, whose initial map's making is shown.
     """
     errors = rrb.Horizontal(series_view(*SEGMENT_ERROR, drive_s), series_view(*TICKS, drive_s))
+    beside = rrb.Vertical(distribution_view(), text_view("The place at the slider", "place/text"), row_shares=[3, 2])
     return arrange(
         [
             _error_fields(space, layers, ["place/test/**"]),
@@ -53,7 +54,7 @@ def make_blueprint(
             *([_making(space, mapped)] if mapped else []),
             *([_training(space, trained, [_loss_view(name) for name in trained])] if trained else []),
             _encoders(space, drive_s),
-            _report(),
+            rrb.Horizontal(text_view("Report", "report/text"), beside, column_shares=[2, 3], name="Report"),
         ],
         play(PROGRESS),
     )
@@ -320,8 +321,3 @@ def _training(space: FreeSpace, trained: Sequence[str], losses: Sequence[rrb.Vie
     ]
     parts = [rrb.Horizontal(*row) for row in (*rows, losses)]
     return rrb.Vertical(*parts, row_shares=[5, 6, 4], name="Training")
-
-
-def _report() -> Part:
-    beside = rrb.Vertical(distribution_view(), text_view("The place at the slider", "place/text"), row_shares=[3, 2])
-    return rrb.Horizontal(text_view("Report", "report/text"), beside, column_shares=[2, 3], name="Report")

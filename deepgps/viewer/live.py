@@ -8,7 +8,7 @@ are spread over the time since the last update, so that they play back smoothly.
 
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from datetime import timedelta
 from pathlib import Path
@@ -193,39 +193,6 @@ class LiveDrive:
             drive.log_polar(self.stream, images, warp, run_clock(spread(len(images))))
 
 
-class LiveTraining:
-    """Sends trainings, aligned to the true positions (N, 2) [m], and keeps track of how much of each has been sent."""
-
-    def __init__(self, stream: rr.RecordingStream, folder: Path, truth: np.ndarray) -> None:
-        self.stream, self.folder, self.truth = stream, folder, truth
-        self.sent: dict[str, tuple[int, int]] = {}  # numbers of losses and of snapshots
-        self.trained: list[str] = []
-        self.finished: set[str] = set()
-
-    def send(self, histories: Mapping[str, History], methods: tuple[str, ...], spread: Spread) -> None:
-        """Send what is new in the histories that trainings report, and in the history files of finished methods."""
-        for label, history in histories.items():
-            self._send_history(label, history, spread)
-        for method in methods:
-            path = self.folder / method / "history.npz"
-            if method not in self.finished and path.is_file():
-                with np.load(path, allow_pickle=False) as history:
-                    self._send_history(method, history, spread)
-                self.finished.add(method)
-
-    def _send_history(self, label: str, history: History, spread: Spread) -> None:
-        method = label.partition(",")[0]  # a restart has its own label and continues the method's curve
-        if method not in self.trained:
-            self.trained.append(method)
-        losses, snapshots = self.sent.get(label, (0, 0))
-        if new := len(history["loss"]) - losses:
-            log_loss(self.stream, method, history, run_clock(spread(new)), losses)
-        place, maps = self.truth[history["snapshot_index"]], history["snapshot"][snapshots:]
-        if len(maps):
-            log_snapshots(self.stream, method, place, maps, run_clock(spread(len(maps))))
-        self.sent[label] = (losses + new, snapshots + len(maps))
-
-
 class LiveView:
     """Sends to the viewer what a run reports: steps done and their number, and each training's history, by label."""
 
@@ -235,7 +202,9 @@ class LiveView:
         self._stream, self._scenario, self._folder = stream, scenario, folder
         self._drive = LiveDrive(stream, folder / "recording", scenario.camera)
         self._truth: Truth | None = None
-        self._training: LiveTraining | None = None
+        self._lengths: dict[str, tuple[int, int]] = {}  # of each history, what is sent of losses and of snapshots
+        self._trained: list[str] = []
+        self._finished: set[str] = set()
         self._layers: Layers = {}
         self._sent: int | None = None  # when the figures that were sent had been written [ns]
         self._start, self._before = time.monotonic(), 0.0  # start of the view; time of the last update since then [s]
@@ -258,8 +227,8 @@ class LiveView:
         if self._truth is None:
             self._drive.send_chunks(spread)
             self._send_room(spread)
-        if self._training is not None:
-            self._training.send(dict(self.histories), self._scenario.methods, spread)
+        if self._truth is not None:
+            self._send_trainings(self._truth.pose[:, :2], spread)
         self._send_results()
         self._send_steps()
         self._arrange()
@@ -273,7 +242,27 @@ class LiveView:
         log_room(self._stream, folder / "scene.glb", self._truth.free_space)
         drive.log_robot(self._stream, drive.find_track_m(recording), drive.camera_of(recording).height_m)
         self._drive.send_rest(recording.observation, self._truth, spread)
-        self._training = LiveTraining(self._stream, self._folder, self._truth.pose[:, :2])
+
+    def _send_trainings(self, truth: np.ndarray, spread: Spread) -> None:
+        """Send what is new in the histories that trainings report, and in the history files of finished methods."""
+        histories = list(self.histories.items())
+        for method in self._scenario.methods:
+            path = self._folder / method / "history.npz"
+            if method not in self._finished and path.is_file():
+                with np.load(path, allow_pickle=False) as history:
+                    histories.append((method, dict(history)))
+                self._finished.add(method)
+        for label, history in histories:
+            method = label.partition(",")[0]  # a restart has its own label and continues the method's curve
+            if method not in self._trained:
+                self._trained.append(method)
+            losses, snapshots = self._lengths.get(label, (0, 0))
+            if new := len(history["loss"]) - losses:
+                log_loss(self._stream, method, history, run_clock(spread(new)), losses)
+            place, maps = truth[history["snapshot_index"]], history["snapshot"][snapshots:]
+            if len(maps):
+                log_snapshots(self._stream, method, place, maps, run_clock(spread(len(maps))))
+            self._lengths[label] = (losses + new, snapshots + len(maps))
 
     def _send_results(self) -> None:
         """Send the error fields and the figures once they are written, and again when they change."""
@@ -295,11 +284,10 @@ class LiveView:
 
     def _arrange(self) -> None:
         """Send a new layout if there is something new to show."""
-        trained = list(self._training.trained) if self._training else []
-        shown = (self._truth is not None, trained, list(self._layers))
+        shown = (self._truth is not None, list(self._trained), list(self._layers))
         if shown != self._shown:
             self._shown = shown
             pictures = self._scenario.observation == "polar_image"
             space = self._truth.free_space if self._truth else None
-            layout = make_live_blueprint(space, pictures, trained, self._began_s or 0.0, self._layers)
+            layout = make_live_blueprint(space, pictures, self._trained, self._began_s or 0.0, self._layers)
             self._stream.send_blueprint(layout)

@@ -16,7 +16,6 @@ from deepgps.viewer.live import LOST_VIEWER_ERRORS
 from deepgps.viewer.pictures import enlarge
 from deepgps.viewer.scene import LAYER_M, lift, log_room
 from sim.errors import InputError, one_line
-from sim.geometry import FreeSpace
 from sim.recording.format import has_truth, open_truth
 
 APPLICATION = "deepgps locate"
@@ -59,7 +58,18 @@ class LocatedView:
         space = None if recording is None else open_truth(recording).free_space
         if recording is not None and space is not None:
             log_room(stream, recording / "scene.glb", space)
-        stream.send_blueprint(make_blueprint(space))
+        room = room_view(
+            "Robot, with the circle of 95 %",
+            ["room", "floor_plan", "outline", "located/**"],
+            aim_eye(space, tilt=0.45, reach=1.3, before=-0.4),
+            line_grid=space is None,
+        )
+        beside = rrb.Vertical(
+            rrb.Spatial2DView(name="Polar image", origin="image"),
+            rrb.TimeSeriesView(name="Radius of 95 % [m]", origin="radius"),
+        )
+        tab = rrb.Horizontal(room, beside, column_shares=[5, 2], name="Located")
+        stream.send_blueprint(arrange([tab], play(IMAGE)))
 
     def show(
         self,
@@ -93,18 +103,3 @@ class LocatedView:
         for path, thing in things.items():
             if thing is not None:
                 self.stream.log(path, thing)
-
-
-def make_blueprint(space: FreeSpace | None) -> rrb.Blueprint:
-    """The layout: the robot in the room, the image, and the radius over time."""
-    room = room_view(
-        "Robot, with the circle of 95 %",
-        ["room", "floor_plan", "outline", "located/**"],
-        aim_eye(space, tilt=0.45, reach=1.3, before=-0.4),
-        line_grid=space is None,
-    )
-    beside = rrb.Vertical(
-        rrb.Spatial2DView(name="Polar image", origin="image"),
-        rrb.TimeSeriesView(name="Radius of 95 % [m]", origin="radius"),
-    )
-    return arrange([rrb.Horizontal(room, beside, column_shares=[5, 2], name="Located")], play(IMAGE))

@@ -54,11 +54,7 @@ class Side:
     metrics: Mapping[str, Any]  # The contents of its metrics.json
     fields: Mapping[str, ErrorField]  # Its error fields by method name
     space: FreeSpace  # The free space of its room
-
-    @property
-    def scene(self) -> Path:
-        """The file of its room."""
-        return self.folder / "recording" / "scene.glb"
+    scene: Path  # The file of its room
 
 
 @dataclass(frozen=True)
@@ -102,8 +98,8 @@ def open_pair(folders: Sequence[Path]) -> Pair:
     if folders[0].resolve() == folders[1].resolve():
         raise InputError(f"{folders[0]} and {folders[1]} are the same run; choose two different ones")
     a, b = (
-        Side(folder, read_metrics(folder), read_all_headings(folder), open_truth(folder / "recording").free_space)
-        for folder in folders
+        Side(one, read_metrics(one), read_all_headings(one), open_truth(home).free_space, home / "scene.glb")
+        for one, home in ((folder, folder / "recording") for folder in folders)
     )
     methods = [name for name in a.fields if name in b.fields]
     if not methods:

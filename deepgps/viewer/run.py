@@ -160,7 +160,12 @@ def _write_without_truth(run: Path, path: Path) -> Path:
     reckoned = dead_reckon(recording)[:, :2]
 
     def log(stream: rr.RecordingStream) -> None:
-        _log_drive(stream, recording, reckoned)
+        clock, segment = drive_clock(recording), recording.reading[:, 0]
+        log_path(stream, "world/reckoned", segment, reckoned, (ODOMETRY_COLOUR, LEG_COLOUR), recording.time, clock)
+        distance = travel(recording.reading[:, 2:], recording.manifest.odometry).mean(axis=1)
+        send_series(stream, "drive/distance/encoder", clock(recording.time), distance, "by encoder", ODOMETRY_COLOUR)
+        log_ticks(stream, recording)
+        log_images(stream, recording)
         for name, history in histories.items():
             losses, snapshots = training_rows(history)
             log_loss(stream, name, history, losses)
@@ -176,15 +181,6 @@ def _write_without_truth(run: Path, path: Path) -> Path:
     number = hash_files(run, [run / "recording" / "manifest.json", *others])
     save_recording(path, number, f"{run.name}, without truth", blueprint, log)
     return path
-
-
-def _log_drive(stream: rr.RecordingStream, recording: Recording, reckoned: np.ndarray) -> None:
-    clock, segment = drive_clock(recording), recording.reading[:, 0]
-    log_path(stream, "world/reckoned", segment, reckoned, (ODOMETRY_COLOUR, LEG_COLOUR), recording.time, clock)
-    distance = travel(recording.reading[:, 2:], recording.manifest.odometry).mean(axis=1)
-    send_series(stream, "drive/distance/encoder", clock(recording.time), distance, "by encoder", ODOMETRY_COLOUR)
-    log_ticks(stream, recording)
-    log_images(stream, recording)
 
 
 def _find_length_s(recording: Recording) -> float:

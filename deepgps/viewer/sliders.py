@@ -77,7 +77,7 @@ def find_sliders(rows: Sequence[Row], axes: Sequence[str], own: Mapping[str, Any
     axes = [name for name in names if name in axes]
     cases = tell_apart(rows, [name for name in names if name not in axes])
     dimensions = {CASE: cases, **{name: [name] for name in axes}, SEED: [SEED]}
-    at = {_locate(group[0], dimensions): group for group in runs}
+    at = {tuple(tuple(group[0][one] for one in some) for some in dimensions.values()): group for group in runs}
     values = {name: _order({point[place]: None for point in at}) for place, name in enumerate(dimensions)}
     base = {name: _choose(values[name], [own.get(column) for column in dimensions[name]]) for name in dimensions}
     among = len(cases) > 1 and list(base[CASE]) == [own.get(column) for column in cases]
@@ -133,8 +133,8 @@ class _Design:
             others = [seed for seed in self.seeds if seed != point[SEED] and dimension != SEED]
             places = [tuple({**point, SEED: seed}.values()) for seed in (point[SEED], *others)]
             if there := [self.at[place] for place in places if place in self.at]:
-                number = value[0] if len(value) == 1 and _is_number(value[0]) else None
-                steps.append(replace(self.make_step(text, there), number=number))
+                is_number = len(value) == 1 and isinstance(value[0], int | float) and not isinstance(value[0], bool)
+                steps.append(replace(self.make_step(text, there), number=value[0] if is_number else None))
         kept = [describe(self.dimensions[one], self.base[one], self.usual) for one in self.base if one != dimension]
         return Slider(name, steps, ", ".join(text for text in kept if text))
 
@@ -159,18 +159,10 @@ def _find_alone(names: Sequence[str], cases: Sequence[tuple], usual: Mapping[str
     return found
 
 
-def _locate(row: Row, dimensions: Mapping[str, Sequence[str]]) -> Point:
-    return tuple(tuple(row[name] for name in names) for names in dimensions.values())
-
-
 def _order(values: Mapping[tuple, None]) -> list[tuple]:
     """Sort numbers, so that a slider is monotonic; keep all else in the study's order."""
     numbers = all(len(value) == 1 and isinstance(value[0], int | float) for value in values)
     return sorted(values) if numbers else list(values)
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _is_whole(number: float) -> bool:

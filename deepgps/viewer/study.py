@@ -4,8 +4,9 @@ Entities: ``world`` (floor plan and error fields, in the world's frame, which is
 fills the same rectangle), ``curve`` (errors along each timeline) and ``report`` (text and figures).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,33 +19,32 @@ from deepgps.config.methods import title_of
 from deepgps.config.scenario import load_scenario, read_yaml
 from deepgps.config.setting_problems import describe_problems
 from deepgps.evaluation.error_field import read_all_headings
+from deepgps.reports.plots import colour_on_dark
+from deepgps.reports.table import tabulate
 from deepgps.runs.run_folder import is_study
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.study import Study
-from deepgps.studies.table import Row, find_methods, read_rows, read_setting, varied_in
+from deepgps.studies.table import Row, find_methods, read_rows, read_setting, split_by, varied_in
 from deepgps.viewer.error_field import NO_PLACES, log_field
 from deepgps.viewer.layout import arrange, look, text_view
-from deepgps.viewer.plot import plot_view
+from deepgps.viewer.plot import Axis, Curve, log_cursor, log_plot, make_axis, plot_view
 from deepgps.viewer.read import open_rrd
-from deepgps.viewer.scene import STILL_BEHAVIOUR, log_scale
-from deepgps.viewer.sliders import Slider, find_sliders
-from deepgps.viewer.stream import hash_files, holds, put, put_text, save_recording
-from deepgps.viewer.study_scene import (
-    CURVES,
-    Frame,
-    describe_step,
-    describe_study,
-    find_frame,
-    log_curves,
-    log_heading,
-    log_rooms,
-    slider_row,
-)
+from deepgps.viewer.scene import STILL_BEHAVIOUR, lift, log_floor, log_scale
+from deepgps.viewer.sliders import RUN, Slider, Step, find_sliders
+from deepgps.viewer.stream import Rows, hash_files, holds, put, put_text, save_recording
 from sim.errors import DamagedError, InputError
 from sim.files.checksums import check_lines, check_sum, is_intact, read_arrays
+from sim.geometry import FreeSpace, limits
 from sim.recording.format import open_truth
 
 STUDY = "study.rrd"
+Frame = tuple[np.ndarray, np.ndarray]  # south-west and north-east corners (2,) [m] of the rectangle for every room
+Spaces = Mapping[str, FreeSpace]  # by the name of the recording
+CURVES = {"rms": "RMS", "median": "Median"}
+FIGURES = {"rms_m": "RMS", "median_m": "median", "p95_m": "p95", "max_m": "max"}
+FRAME_M = 4.5  # depth of the rectangle that rooms are drawn in, chosen to suit the size of the text
+MAX_TICKS, MAX_LETTERS, MAX_VALUES = 8, 12, 8
+MIN_LOG_RATIO = 3.0  # natural logarithm of the ratio from which on errors are drawn on a logarithmic axis
 MAX_ARROWS = 2_500_000  # about 75 MB; in larger studies, every field is thinned out
 MAX_PLACES = 2_000  # of one slider, about 10 kB each in addition to their arrows
 STEPS_PER_SECOND = 1.5
@@ -209,3 +209,185 @@ def _field_views(methods: Sequence[str], frame: Frame) -> list[rrb.Spatial3DView
         )
         for method in methods
     ]
+
+
+def slider_row(slider: Slider, place: int) -> Rows:
+    """The row at a place of a slider."""
+    return [rr.TimeColumn(slider.timeline, sequence=[place])]
+
+
+def find_frame(spaces: Spaces) -> Frame:
+    """Corners (2,) [m] of a rectangle around the origin in the proportions of the widest and the deepest room."""
+    size = np.max([high - low for low, high in map(limits, spaces.values())], axis=0)
+    size *= FRAME_M / max(size[1], 0.62 * size[0])
+    return -size / 2, size / 2
+
+
+def log_rooms(stream: rr.RecordingStream, slider: Slider, spaces: Spaces, frame: Frame) -> None:
+    """Log the floor plan where it changes along a slider, scaled into the frame, and a scale bar of known length."""
+    shown, grey = None, [200, 206, 216]
+    for place, step in zip(slider.places, slider.steps, strict=True):
+        space = spaces[step.rows[0]["recording"]] if step.done else None
+        if space is None or (shown is not None and _is_same(space, shown)):
+            continue
+        shown, at = space, slider_row(slider, place)
+        low, high = limits(space)
+        scale = float(np.min((frame[1] - frame[0]) / (high - low)))
+        put(stream, "world", rr.Transform3D(translation=[*(-scale * (low + high) / 2), 0.0], scale=scale), at)
+        log_floor(stream, space, at)
+        length = _round_length((high[0] - low[0]) / 4)
+        start = np.array([low[0], high[1] + 0.15 / scale])
+        bar = lift(start + np.array([[0, 0], [length, 0]]), 0.0)
+        put(stream, "world/metre", rr.LineStrips3D([bar], radii=0.012 / scale, colors=grey), at)
+        label = f"{length:g} m" if length >= 1 else f"{100 * length:g} cm"
+        beside = bar[1:] + np.array([0.4, 0.18, 0]) / scale  # a label is drawn below its point
+        name = rr.Points3D(beside, radii=0.0, colors=grey, labels=[label], show_labels=True)
+        put(stream, "world/metre/length", name, at)
+
+
+def log_heading(stream: rr.RecordingStream, method: str, slider: Slider, step: Step, frame: Frame, at: Rows) -> None:
+    """Log the slider's place and the size of the errors above a method's error field."""
+    place = [[(frame[0][0] + frame[1][0]) / 2, frame[1][1] + 1.15, 0.0]]
+    text, colour = describe_field(method, slider, step), colour_on_dark(method)
+    label = rr.Points3D(place, radii=0.0, colors=colour, labels=[text], show_labels=True)
+    put(stream, f"heading/{method}", label, at)
+
+
+def log_curves(stream: rr.RecordingStream, slider: Slider) -> None:
+    """Plot errors against a slider's values: the mean over seeds, and the best and the worst seed if there are several.
+
+    A cursor in the plots is where the slider is.
+    """
+    where = slider.numbers or [float(place) for place in slider.places]
+    rows = [(place, row) for place, step in zip(where, slider.steps, strict=True) for row in step.repeats]
+    if not rows:
+        return
+    x, first = _make_abscissa(slider, where), min(slider.places)
+    for name, title in CURVES.items():
+        methods = find_methods(row for _, row in rows)
+        curves = [curve for method in methods for curve in _make_curves(method, name, rows)]
+        errors = np.concatenate([curve.y for curve in curves])
+        y = make_axis(f"{title} [cm]", errors, log=bool(errors.min() > 0 and np.ptp(np.log(errors)) > MIN_LOG_RATIO), zero=True)
+        log_plot(stream, f"curve/{name}", x, y, curves, slider_row(slider, first))
+        for place, value in zip(slider.places, where, strict=True):
+            log_cursor(stream, f"curve/{name}", x, value, slider_row(slider, place))
+
+
+def _make_abscissa(slider: Slider, where: Sequence[float]) -> Axis:
+    """The axis of a slider's values: in proportion where they are numbers, else one step after another."""
+    if slider.numbers:
+        axis = make_axis(slider.name, where, log=min(where) > 0 and max(where) > 30 * min(where))
+        axis = replace(axis, low=min(axis.low, *where), high=max(where))
+        return replace(axis, ticks=_choose_ticks(axis, slider))
+    every = -(-len(where) // MAX_TICKS)
+    ticks = {place: _cut(step.value) for place, step in list(zip(where, slider.steps, strict=True))[::every]}
+    return Axis(slider.name, min(where) - 0.5, max(where) + 0.5, ticks)
+
+
+def _choose_ticks(axis: Axis, slider: Slider) -> dict[float, str]:
+    """The slider's own values, without those too close to the one before."""
+    ticks: dict[float, str] = {}
+    for value, step in sorted(zip(slider.numbers, slider.steps, strict=True), key=lambda pair: pair[0]):
+        if not ticks or axis.share([value])[0] - axis.share([list(ticks)[-1]])[0] > 1 / MAX_TICKS:
+            ticks[value] = step.value
+    return ticks
+
+
+def _make_curves(method: str, name: str, rows: Sequence[tuple[float, Row]]) -> list[Curve]:
+    """A method's curves over places: the mean of its rows there, and pale without a title the least and the most."""
+    groups = {
+        place: [100 * row[f"{name}_m"] for at, row in rows if at == place and row["method"] == method]
+        for place in dict.fromkeys(at for at, row in rows if row["method"] == method)
+    }
+    colour, places = colour_on_dark(method), list(groups)
+    curves = [Curve(method, title_of(method), colour, places, [float(np.mean(one)) for one in groups.values()], True)]
+    if max(map(len, groups.values())) > 1:
+        for end, take in (("best", min), ("worst", max)):
+            curves.append(Curve(f"{method}_{end}", "", (*colour, 110), places, [take(one) for one in groups.values()]))
+    return curves
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= MAX_LETTERS else f"{text[: MAX_LETTERS - 1]}…"
+
+
+def _round_length(most: float) -> float:
+    """The longest length of at most ``most`` [m] that is 1, 2 or 5 times a power of ten."""
+    decade = 10.0 ** np.floor(np.log10(most))
+    return float(decade * max(step for step in (1, 2, 5) if step * decade <= most))
+
+
+def _is_same(one: FreeSpace, other: FreeSpace) -> bool:
+    same = one.cell_m == other.cell_m and np.array_equal(one.origin, other.origin)
+    return same and np.array_equal(one.free, other.free) and np.array_equal(one.reachable, other.reachable)
+
+
+def describe_field(method: str, slider: Slider, step: Step) -> str:
+    """The lines above a method's error field."""
+    where = step.value if slider.name == RUN else f"{slider.name} {step.value}"
+    row = next((row for row in step.rows if row["method"] == method), None)
+    if row is None:
+        return f"{where}\nno {title_of(method)}"
+    if row["failure"] is not None:
+        return f"{where}\nfailed"
+    return f"{where}\nRMS {write_length(row['rms_m'])}, median {write_length(row['median_m'])}"
+
+
+def describe_step(slider: Slider, step: Step) -> str:
+    """Describe a slider's place in Markdown: which run is shown, its errors, and the RMS over all seeds."""
+    row = step.rows[0]
+    blocks = [f"# {slider.name} {step.value}" if slider.name != RUN else f"# {step.value}"]
+    if row["failure"] is not None:
+        return "\n\n".join([*blocks, f"This run failed: {row['failure']}"])
+    blocks.append(f"Run `{row['run']}`: {step.words}.")
+    cells = [[title_of(one["method"]), *(write_length(one[name]) for name in FIGURES)] for one in step.rows]
+    blocks.append(tabulate(["method", *FIGURES.values()], cells))
+    seeds = len({one["run"] for one in step.repeats})
+    if seeds > 1:
+        errors = {name: [one["rms_m"] for one in group] for name, group in split_by(step.repeats, "method").items()}
+        ranges = [
+            f"{title_of(one)} {write_length(min(some))} to {write_length(max(some))}" for one, some in errors.items()
+        ]
+        blocks.append(f"RMS of all {seeds} seeds: {'; '.join(ranges)}.")
+    return "\n\n".join(blocks)
+
+
+def describe_study(
+    study: Study, rows: Sequence[Row], sliders: Sequence[Slider], left_out: Sequence[str], every: int
+) -> str:
+    """Describe in Markdown what each slider does, and how to read an error field."""
+    runs = split_by(rows, "run")
+    lines = [f"- **{slider.name}**: {_list_values(slider)}" for slider in sliders]
+    first = f"The slider at the bottom moves `{sliders[0].name}`"
+    more = "; the list to its left has the others." if len(sliders) > 1 else "."
+    reading = (
+        "Each arrow points from a true test position to the predicted position, for the worst heading there. All "
+        "methods and all positions of a slider share one colour scale. Every room is scaled to fill the same "
+        "rectangle; the bar above it shows its scale. Point at an arrow or a dot: error, heading → predicted x, y [m]. "
+        "The numbers on a slider are the setting's values, in the unit in brackets after its name."
+    )
+    notes = [f"Left out because it has too many positions: {name}." for name in left_out]
+    notes += [f"Only one in {every} test positions is drawn, to keep the file small."] if every > 1 else []
+    return "\n\n".join(
+        [f"# {study.name}: {len(runs)} runs of {study.scenario}", first + more, "\n".join(lines), reading, *notes]
+    )
+
+
+def write_length(length_m: float) -> str:
+    """Write a length in a suitable unit; less than a micrometre counts as zero."""
+    if length_m < 1e-6:
+        return "0 mm"
+    if length_m < 0.01:
+        return f"{1000 * length_m:.2f} mm"
+    return f"{100 * length_m:.1f} cm" if length_m < 1 else f"{length_m:.2f} m"
+
+
+def _list_values(slider: Slider) -> str:
+    if slider.name == RUN:
+        return f"all {len(slider.steps)} runs, one after another"
+    values = [f"`{step.value}`" for step in slider.steps]
+    if len(values) > MAX_VALUES:
+        values = [*values[: MAX_VALUES - 2], "...", values[-1]]
+    count = f"{len(slider.steps)} positions, " if "..." in values else ""
+    others = f" (with {slider.others})" if slider.others else ""
+    return f"{count}{', '.join(values)}{others}"

@@ -40,10 +40,8 @@ def draw(picture: Picture, rows: Sequence[Row], varied: Sequence[str], folder: P
 def draw_dots(picture: Dots, rows: Sequence[Row], varied: Sequence[str]) -> Figure:
     """Draw errors by case; see ``Dots``."""
     cases, methods = _label_cases(rows, picture.line, varied), find_methods(rows)
-    panels = [
-        (title, mark, pick(rows, {picture.panel: value}) if picture.panel else rows)
-        for (value, title), mark in product(_list_panels(rows, picture.panel), picture.marks)
-    ]
+    parts = split_by(rows, picture.panel) if picture.panel else {"": rows}
+    panels = [(str(value), mark, some) for (value, some), mark in product(parts.items(), picture.marks)]
     names = list(dict.fromkeys(cases(row) for row in rows))
     side_by_side = "method" not in picture.line.split()
     place = {
@@ -76,7 +74,8 @@ def draw_dots(picture: Dots, rows: Sequence[Row], varied: Sequence[str]) -> Figu
         _count(axes.xaxis)
         axes.grid(alpha=0.25, axis="x")
     notes = {"without a fault": Line2D([], [], color="grey")} if picture.clean else {}
-    notes |= {"the paper": _mark("black", "D", "none")} if any(_has_paper(row) for row in rows) else {}
+    papers = (value for row in rows for name, value in row.items() if name.startswith("paper_"))
+    notes |= {"the paper": _mark("black", "D", "none")} if any(value is not None for value in papers) else {}
     notes |= {"wrong": _mark("black", "x")} if picture.cross else {}
     marks = {title_of(name): _mark(colour_of(name)) for name in methods} | notes
     _add_legend(figure, marks)
@@ -221,14 +220,6 @@ def _label_cases(rows: Sequence[Row], by: str, varied: Sequence[str]) -> Callabl
     others = [name for name in resolve(by, varied) if name != "method"]
     names = [*choices(rows, others), *(["method"] if "method" in by.split() else [])]
     return lambda row: describe(row, names)
-
-
-def _list_panels(rows: Sequence[Row], panel: str | None) -> list[tuple[str, str]]:
-    return [(value, str(value)) for value in split_by(rows, panel)] if panel else [("", "")]
-
-
-def _has_paper(row: Row) -> bool:
-    return any(name.startswith("paper_") and row[name] is not None for name in row)
 
 
 def _mark(colour: str, marker: str = "o", inside: str | None = None) -> Line2D:

@@ -8,17 +8,8 @@ import numpy as np
 
 from deepgps.config.methods import title_of
 from deepgps.reports.table import tabulate
-from deepgps.reports.targets import FORMS, Figure, mean_of, median_of, ratio_of, share_of, unit_of
-from deepgps.studies.reports.record import (
-    CHOICES,
-    ERRORS,
-    EVERY_ROW,
-    VARIED_SETTINGS,
-    StudyReport,
-    Table,
-    Target,
-    Where,
-)
+from deepgps.reports.targets import FORMS, Figure, middle_of, ratio_of, share_of, unit_of
+from deepgps.studies.reports.record import CHOICES, ERRORS, EVERY_ROW, VARIED_SETTINGS, StudyReport, Table, Target, Where
 from deepgps.studies.table import Row, is_seed, shorten, split_by, split_by_label
 
 TAKES = {
@@ -171,8 +162,12 @@ def _tabulate(table: Table, rows: Sequence[Row], varied: Sequence[str]) -> str:
         for value in split_by([row for row in rows if across in row], across):
             head = f"{_write_key(across, value)}: "
             columns += [(head, column, {across: value}) for column in table.each.split()]
+    units = [_unit_of(column, table.length) for _, column, _ in columns]
     cells = [
-        [_write_cell(pick(group, only) if only else group, column, how, table.length) for _, column, only in columns]
+        [
+            write_value(take(pick(group, only), column, how), unit)
+            for (_, column, only), unit in zip(columns, units, strict=True)
+        ]
         for _, group, how in lines
     ]
     shown = [place for place in range(len(columns)) if any(line[place] != "-" for line in cells)]
@@ -180,10 +175,6 @@ def _tabulate(table: Table, rows: Sequence[Row], varied: Sequence[str]) -> str:
     headings = [f"{columns[place][0]}{_head(columns[place][1], table.length)}" for place in shown]
     body = [[*line[0], *(row[place] for place in shown)] for line, row in zip(lines, cells, strict=True)]
     return tabulate([*keys, *headings], body)
-
-
-def _write_cell(rows: Sequence[Row], column: str, how: str, length: str) -> str:
-    return write_value(take(rows, column, how), _unit_of(column, length))
 
 
 def _head(column: str, length: str) -> str:
@@ -235,8 +226,8 @@ def _measure(target: Target, group: Sequence[Row], rows: Sequence[Row]) -> Figur
         base = take(pick(rows, target.base), target.base_of or name)
         return None if base is None else Figure(title, float(np.mean(values) / base), unit, at_least)
     summarise: Mapping[str, Callable[[], Figure]] = {
-        "": lambda: mean_of(title, values, unit, at_least),
-        "median": lambda: median_of(title, values, unit, at_least),
+        "": lambda: middle_of(title, np.mean, values, unit, at_least),
+        "median": lambda: middle_of(title, np.median, values, unit, at_least),
         "share": lambda: share_of(title, values, at_least),
         "count": lambda: Figure(title, sum(values), "count", at_least),
         "ratio": lambda: ratio_of(title, values, [row[f"base_{name}"] for row in group]),

@@ -41,7 +41,9 @@ def report_study(study: Study, plans: Sequence[Plan], failures: Mapping[str, str
         with use_threads(1):
             rows = add_columns(rows, load(report.columns), folder)
         write_table(folder / "table.parquet", rows)
-    text = f"{write_report(study, plans, failures, rows)}\n{describe_origin(_read_environments(plans, folder))}\n"
+    runs = [folder / "runs" / plan.run for plan in plans]
+    environments = [read_metrics(run).get("environment", {}) for run in runs if (run / METRICS).is_file()]
+    text = f"{write_report(study, plans, failures, rows)}\n{describe_origin(environments)}\n"
     write_text(folder / "table.md", text)
     if measured := [row for row in rows if row["failure"] is None]:
         varied = varied_names(study)
@@ -121,11 +123,6 @@ def write_report(study: Study, plans: Sequence[Plan], failures: Mapping[str, str
         cells = [[*(str(row[name]) for name in varied), row["run"], row["failure"]] for row in failed]
         blocks += ["## Failed", tabulate([*varied, "run", "reason"], cells)]
     return "\n\n".join(blocks) + "\n"
-
-
-def _read_environments(plans: Sequence[Plan], folder: Path) -> list[dict[str, Any]]:
-    runs = [folder / "runs" / plan.run for plan in plans]
-    return [read_metrics(run).get("environment", {}) for run in runs if (run / METRICS).is_file()]
 
 
 def varied_names(study: Study) -> list[str]:

@@ -23,9 +23,8 @@ from deepgps.viewer.read import read_entity, read_error_field, read_error_table
 from deepgps.viewer.show import view
 from deepgps.viewer.sliders import find_sliders
 from deepgps.viewer.study import STUDY as STUDY_RRD
-from deepgps.viewer.study import find_study
+from deepgps.viewer.study import find_study, write_length
 from deepgps.viewer.study import write_study as write_rrd
-from deepgps.viewer.study_scene import write_length
 from sim.errors import InputError
 from tests.helpers.blueprints import call_rerun, find_missing
 from tests.helpers.command import deepgps_here, wait_until
