@@ -9,12 +9,7 @@ from typing import Any
 
 from deepgps.config.methods import find_method
 from deepgps.config.plain_yaml import read_yaml
-from deepgps.config.scenario import (
-    Scenario,
-    find_settings,
-    flatten,
-    override_scenario,
-)
+from deepgps.config.scenario import Scenario, find_settings, flatten, override_scenario
 from deepgps.config.setting_problems import MAX_PROBLEMS, join_problems
 from deepgps.runs.inputs import digest, digest_recording, read_room
 from deepgps.studies.catalog import REPORTS

@@ -11,14 +11,7 @@ from pydantic import AfterValidator, Field, ValidationError, model_validator
 
 from deepgps.config.learning import one_of
 from deepgps.config.plain_yaml import read_yaml
-from deepgps.config.scenario import (
-    MAX_NAME_LETTERS,
-    NAME,
-    MethodName,
-    clean_name,
-    find_settings,
-    flatten,
-)
+from deepgps.config.scenario import MAX_NAME_LETTERS, NAME, MethodName, clean_name, find_settings, flatten
 from deepgps.config.setting_problems import describe_problems
 from deepgps.studies.catalog import REPORTS
 from sim.errors import InputError, quote, shorten

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from deepgps.reports.targets import Figure, judge, mean_of, median_of, ratio_of, share_of, tabulate_targets, write
+from deepgps.reports.targets import Figure, judge, middle_of, ratio_of, share_of, tabulate_targets, write
 
 
 def test_written_value_has_its_unit_and_is_never_nothing_where_something_was() -> None:
@@ -45,8 +45,8 @@ def test_intervals_hold_the_true_value_in_about_95_of_100_cases() -> None:
     for _ in range(60):
         ours, theirs = rng.normal(2.0, 0.5, (2, 30))
         found = {
-            "mean": (mean_of("", ours.tolist(), "cm"), 2.0),
-            "median": (median_of("", ours.tolist(), "cm"), 2.0),
+            "mean": (middle_of("", np.mean, ours.tolist(), "cm"), 2.0),
+            "median": (middle_of("", np.median, ours.tolist(), "cm"), 2.0),
             "ratio": (ratio_of("", ours.tolist(), theirs.tolist()), 1.0),
             "share": (share_of("", (rng.random(30) < 0.9).tolist()), 0.9),
         }
@@ -59,7 +59,7 @@ def test_intervals_hold_the_true_value_in_about_95_of_100_cases() -> None:
 
 
 def test_few_values_have_no_interval_and_the_worst_is_on_the_wrong_side() -> None:
-    assert mean_of("", [1.0, 2.0, 3.0, 4.0], "cm").interval is None
+    assert middle_of("", np.mean, [1.0, 2.0, 3.0, 4.0], "cm").interval is None
     assert share_of("", []).value is None
-    assert mean_of("", [1.0, 2.0], "%", at_least=True).worst == 1.0
+    assert middle_of("", np.mean, [1.0, 2.0], "%", at_least=True).worst == 1.0
     assert ratio_of("", [1.0, 3.0], [2.0, 2.0]).worst == 1.5
