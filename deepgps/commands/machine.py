@@ -68,7 +68,6 @@ def rooms_command(words: Sequence[str]) -> None:
 
 
 def _parse_kinds(text: str) -> list[Any]:
-    """Kinds of room from ``all`` or ``office,kitchen``."""
     kinds = list(get_args(RoomKind)) if text == "all" else text.split(",")
     for kind in kinds:
         if kind not in get_args(RoomKind):
@@ -77,7 +76,6 @@ def _parse_kinds(text: str) -> list[Any]:
 
 
 def _parse_seeds(text: str) -> list[int]:
-    """Seeds from ``0-3`` or ``0,2,5``."""
     try:
         first, dash, last = text.partition("-")
         if dash:

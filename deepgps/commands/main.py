@@ -122,7 +122,6 @@ def _print_help() -> None:
 
 
 def _write_completion(words: Sequence[str]) -> None:
-    """Print or write the script that completes commands, options and settings in a shell, and exit."""
     import tyro
 
     from deepgps.commands.parse import CONFIG

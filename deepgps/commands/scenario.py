@@ -99,7 +99,6 @@ def _split(words: Sequence[str], own_options: Sequence[str]) -> tuple[list[str],
 
 
 def _explain_unknown(name: str, own_options: Sequence[str]) -> str:
-    """What to say of an option that is no setting."""
     like = [find_like(as_option(name), own_options)] if "." not in name else []
     found = [*like, *map(as_option, find_settings_like(name, Scenario))]
     group = next((field for key, field in _list_groups() if key == name.rpartition(".")[0]), None)
@@ -121,7 +120,6 @@ def _list_inner_groups(before: str, kind: type[Group]) -> list[tuple[str, type[G
 
 
 def _help_with_scenario(command: str, words: Sequence[str], about: str | None) -> None:
-    """Print the help that the words ask for, and exit."""
     asked = next(place for place, word in enumerate(words) if word in HELP)
     topic = from_option(next(iter(words[asked + 1 :]), ""))
     if words[asked] == "--help-all" or topic == "all":

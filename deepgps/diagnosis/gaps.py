@@ -197,7 +197,6 @@ def _list_runs(gaps: Gaps, first: int, last: int) -> list[tuple[int, int]]:
 
 
 def _collect(step: np.ndarray, drift: np.ndarray, size: dict[str, np.ndarray], runs: list[tuple[int, int]]) -> Runs:
-    """Runs of gaps as padded tables."""
     longest = max((end - first for first, end in runs), default=0)
     shape = len(runs), longest + 1
     level, drifted, valid = np.zeros(shape), np.zeros(shape), np.zeros(shape, bool)

@@ -125,7 +125,6 @@ class YawModule(nn.Module):
 
 
 def _keep(array: np.ndarray, kind: type[np.generic] | None = None) -> nn.Buffer:
-    """An array as a constant of a module."""
     return nn.Buffer(torch.from_numpy(np.array(array, kind, order="C")))
 
 

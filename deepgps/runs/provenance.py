@@ -95,7 +95,6 @@ def stage_times(folder: Path) -> dict[str, float]:
 
 
 def _read_times(folder: Path) -> dict[str, float]:
-    """Seconds of a run's stages so far."""
     path = folder / "timing.json"
     try:
         return read_json(path) if path.is_file() else {}

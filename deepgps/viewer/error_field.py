@@ -106,7 +106,6 @@ Layer = tuple[str, str, rr.AsComponents, list[str]]
 
 
 def _draw_layers(field: ErrorField) -> Iterator[Layer]:
-    """The layers of a method besides its errors at each heading."""
     thin, height_m = find_thinness(field.truth), HEIGHT_M + LAYER_M
     if field.yaw is not None and field.yaw_error is not None:
         yield from _draw_yaws(field, field.yaw, np.degrees(field.yaw_error), 0.005 * thin, height_m)

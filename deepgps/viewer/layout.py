@@ -258,7 +258,6 @@ def _worst_places(space: FreeSpace, pictures: bool) -> Part:
 def _drive(
     space: FreeSpace | None, pictures: Mapping[str, str], below: Part, timelines: Sequence[str] | None = None
 ) -> Part:
-    """The robot in the room beside its pictures, with something below them."""
     room = room_view(
         "Robot and path so far",
         ["room", "drive/**"],

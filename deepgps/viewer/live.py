@@ -245,7 +245,7 @@ class LiveView:
 
     def _send_trainings(self, truth: np.ndarray, spread: Spread) -> None:
         """Send what is new in the histories that trainings report, and in the history files of finished methods."""
-        histories = list(self.histories.items())
+        histories = list(dict(self.histories).items())  # the run may add some meanwhile
         for method in self._scenario.methods:
             path = self._folder / method / "history.npz"
             if method not in self._finished and path.is_file():
@@ -283,7 +283,6 @@ class LiveView:
             put_text(self._stream, STEPS, text)
 
     def _arrange(self) -> None:
-        """Send a new layout if there is something new to show."""
         shown = (self._truth is not None, list(self._trained), list(self._layers))
         if shown != self._shown:
             self._shown = shown

@@ -115,7 +115,6 @@ def _draw_closures(stored: StoredMap, places: np.ndarray, stage: int) -> Iterato
 
 
 def _draw_ellipses(stored: StoredMap, world: Alignment, larger: float) -> Lines:
-    """Ellipses of the positions' errors at some observations."""
     known = np.flatnonzero(stored.known)
     some = known[np.linspace(0, len(known) - 1, min(MAX_ELLIPSES, len(known))).astype(int)]
     outlines = outline_ellipses(stored.covariance[some], SIGMAS * larger) @ world.rotation.T

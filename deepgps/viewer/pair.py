@@ -161,7 +161,6 @@ def _list_places(pair: Pair) -> str:
 
 
 def _list_figures(pair: Pair, names: Sequence[str]) -> str:
-    """A table with a row for each method: figures of A, of B, and their ratio."""
     columns = [column for column in COLUMNS if column[1] in names]
     heads = [name for heading, _, _ in columns for name in (f"{heading.split(' [')[0]} A", "B", "B / A")]
     rows = []

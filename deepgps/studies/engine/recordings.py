@@ -158,7 +158,6 @@ def _name_training_drive(scenario: Scenario) -> str:
 
 
 def _collect_in_turn(drives: Mapping[str, CollectTask], progress: Tell) -> Failures:
-    """Collect drives in this process."""
     failed, before = Failures(), 0
     for key, drive in drives.items():
         tell = partial(lambda done, size, before: progress(before + min(done, size)), size=drive.size, before=before)

@@ -89,7 +89,6 @@ def _choose(rng: np.random.Generator, count: int) -> list[str]:
 
 
 def _draw(rng: np.random.Generator, names: Sequence[str]) -> Point:
-    """A strength of each fault."""
     drawn: Point = {}
     for name in names:
         low, high = LIMITS[name]
