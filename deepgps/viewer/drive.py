@@ -47,7 +47,9 @@ def log_drive(stream: rr.RecordingStream, recording: Recording, truth: Truth, la
     seen, first = np.unique(observation, return_index=True)
     log_robot(stream, find_track_m(recording), camera_of(recording).height_m)
     log_poses(stream, truth.pose[seen], clock(recording.time[first]))
-    log_path(stream, "world/drive", segment, truth.pose[observation, :2], (TRUE_COLOUR, LEG_COLOUR), recording.time, clock)
+    log_path(
+        stream, "world/drive", segment, truth.pose[observation, :2], (TRUE_COLOUR, LEG_COLOUR), recording.time, clock
+    )
     encoder, true, difference = measure_distances(recording, truth.pose)
     for path, values, label, colour in (
         ("distance/encoder", encoder, "by encoder", ODOMETRY_COLOUR),

@@ -267,7 +267,9 @@ def log_curves(stream: rr.RecordingStream, slider: Slider) -> None:
         methods = find_methods(row for _, row in rows)
         curves = [curve for method in methods for curve in _make_curves(method, name, rows)]
         errors = np.concatenate([curve.y for curve in curves])
-        y = make_axis(f"{title} [cm]", errors, log=bool(errors.min() > 0 and np.ptp(np.log(errors)) > MIN_LOG_RATIO), zero=True)
+        y = make_axis(
+            f"{title} [cm]", errors, log=bool(errors.min() > 0 and np.ptp(np.log(errors)) > MIN_LOG_RATIO), zero=True
+        )
         log_plot(stream, f"curve/{name}", x, y, curves, slider_row(slider, first))
         for place, value in zip(slider.places, where, strict=True):
             log_cursor(stream, f"curve/{name}", x, value, slider_row(slider, place))

@@ -9,7 +9,16 @@ import numpy as np
 from deepgps.config.methods import title_of
 from deepgps.reports.table import tabulate
 from deepgps.reports.targets import FORMS, Figure, middle_of, ratio_of, share_of, unit_of
-from deepgps.studies.reports.record import CHOICES, ERRORS, EVERY_ROW, VARIED_SETTINGS, StudyReport, Table, Target, Where
+from deepgps.studies.reports.record import (
+    CHOICES,
+    ERRORS,
+    EVERY_ROW,
+    VARIED_SETTINGS,
+    StudyReport,
+    Table,
+    Target,
+    Where,
+)
 from deepgps.studies.table import Row, is_seed, shorten, split_by, split_by_label
 
 TAKES = {

@@ -14,14 +14,7 @@ from sim.apriltag.bundle_adjustment import TagMap, find_level, flatten, write_la
 from sim.errors import WorkError
 from sim.recording.collect import collect
 from sim.recording.format import check_recording, open_labels, open_recording, open_truth
-from sim.settings import (
-    CameraSettings,
-    DriveSettings,
-    GridSettings,
-    RoomSettings,
-    SimSettings,
-    TagCameraSettings,
-)
+from sim.settings import CameraSettings, DriveSettings, GridSettings, RoomSettings, SimSettings, TagCameraSettings
 from tests.helpers.synthetic_tags import CAMERA, make_scene
 from tests.helpers.toy import make_toy
 

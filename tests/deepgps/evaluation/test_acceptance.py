@@ -11,13 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deepgps.evaluation import measures
-from deepgps.evaluation.error_field import (
-    ErrorField,
-    find_worst,
-    read_all_headings,
-    split_by_acceptance,
-    write_fields,
-)
+from deepgps.evaluation.error_field import ErrorField, find_worst, read_all_headings, split_by_acceptance, write_fields
 from deepgps.evaluation.measures import (
     MIN_IMAGES,
     REFUSED_SHARES,

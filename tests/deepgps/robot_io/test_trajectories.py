@@ -11,13 +11,7 @@ from evo.tools import file_interface
 
 import deepgps
 from deepgps.positioner.pose import Poses
-from deepgps.robot_io.trajectories import (
-    Trajectory,
-    find_trajectories,
-    open_drives,
-    write_table,
-    write_trajectories,
-)
+from deepgps.robot_io.trajectories import Trajectory, find_trajectories, open_drives, write_table, write_trajectories
 from deepgps.terminal.progress import ignore
 from sim.alignment import fit_alignment
 from sim.errors import InputError

@@ -10,13 +10,7 @@ from deepgps.config.learning import LearnSettings
 from deepgps.methods.fit import fit_method
 from deepgps.reports.plots import to_png
 from deepgps.studies.plan import plan_runs
-from deepgps.studies.reports.mds import (
-    add_distances,
-    are_joined,
-    draw,
-    find_distances,
-    scale_all,
-)
+from deepgps.studies.reports.mds import add_distances, are_joined, draw, find_distances, scale_all
 from deepgps.studies.study import load_study
 from deepgps.studies.table import Row
 from deepgps.terminal.progress import ignore
