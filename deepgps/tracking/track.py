@@ -99,7 +99,9 @@ def track_drive(positioner: Positioner, recording: Recording, progress: Report) 
     progress("track", 3, 4)
     smoothed = smooth(causal, motions, fixes)
     progress("track", 4, 4)
-    first = _find_first(fixes)
+    # the first image that is accepted and tells a yaw, or else the first one
+    number = next((number for number, one in enumerate(fixes) if one.accepted and len(one.yaw)), 0)
+    first = number, _as_path([fixes[number]]).pose[0]
     paths = {
         "single": _as_path(fixes),
         "causal": _estimate(causal),
@@ -137,12 +139,6 @@ def _list_fixes(positioner: Positioner, recording: Recording, drive: Drive, pose
         after = dict(zip(seen.tolist(), found, strict=True))
     both = zip(drive.observation.tolist(), drive.turn_image.tolist(), strict=True)
     return [after[image] if observation == NO_IMAGE else fixes[observation] for observation, image in both]
-
-
-def _find_first(fixes: Sequence[Fix]) -> tuple[int, np.ndarray]:
-    """The first image that is accepted and tells a yaw, or else the first one, and its pose (3,)."""
-    number = next((number for number, one in enumerate(fixes) if one.accepted and len(one.yaw)), 0)
-    return number, _as_path([fixes[number]]).pose[0]
 
 
 def _as_path(fixes: Sequence[Fix]) -> TrackedPath:

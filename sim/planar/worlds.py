@@ -18,16 +18,10 @@ CELL_M, CHUNK = 0.02, 1024
 
 
 class LandmarkWorld:
-    """A square around the origin with landmarks in it.
+    """A square around the origin with ``landmark`` positions (M, 2) [m] in it, from which the robot is never relocated.
 
-    Attributes:
-        landmark: Positions of the landmarks (M, 2) [m].
-        bounds: Lower and upper corner (2, 2) [m].
-        segments: Straight segments to drive.
-        space: The square as cells, all of them reachable, with a border of cells that are not.
-        truth: Its own ground-truth arrays by file name.
-        relocate_after: 0: the robot is never relocated.
-        turn_images: An observation after a turn shows nothing that the one before does not.
+    An observation after a turn shows nothing that the one before does not. The square's cells are all reachable, with a
+    border of cells that are not.
     """
 
     relocate_after, turn_images = 0, False
@@ -91,19 +85,12 @@ _EPSILON = 1e-9
 
 
 class LidarWorld:
-    """A walled square around the origin with obstacles in it.
+    """A walled square around the origin with obstacles in it; ``box`` has their lower and upper corners (n, 2, 2) [m].
 
-    Attributes:
-        box: Lower and upper corner of each obstacle (n, 2, 2) [m].
-        bounds: Lower and upper corner of the square (2, 2) [m].
-        segments: Straight segments to drive, at most.
-        relocate_after: Segments after which the robot is relocated at random.
-        space: The cells where the robot may be; reachable is the largest connected part.
-        truth: Its own ground-truth arrays by file name.
-        turn_images: Whether observations after turns are recorded.
+    The reachable cells are the largest connected part of those where the robot may be.
     """
 
-    relocate_after, turn_images = 10, True
+    relocate_after, turn_images = 10, True  # segments between relocations; whether turns have observations
 
     def __init__(self, settings: SimSettings, seed: int) -> None:
         """Place the obstacles uniformly over the square, from the settings' own seed if given, else from ``seed``."""

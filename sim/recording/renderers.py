@@ -74,16 +74,10 @@ class _Worker:
 
 
 class Renderers:
-    """Worker processes that draw the parts they are given, in any order.
+    """Worker processes, at most ``count``, that draw the parts they are given, in any order, by an importable function.
 
-    Attributes:
-        deaths: How often worker processes died or hung; those found at the same time count once.
-        drawn: Number of finished parts.
-
-    Args:
-        draw: Function that a worker calls with a part; it must be importable.
-        count: Largest number of worker processes.
-        longest_s: Time to build the room, during which a worker is silent [s].
+    A worker is silent while it builds the room, up to ``longest_s`` [s]. ``drawn`` is the number of finished parts, and
+    ``deaths`` how often workers died or hung; those found at the same time count once.
     """
 
     def __init__(self, draw: Draw, count: int, longest_s: float) -> None:

@@ -83,14 +83,7 @@ FLOOR_GAP_M, FALL_DEPTH_M = 0.01, 1.0
 
 
 class Chassis:
-    """A robot in a scene.
-
-    Attributes:
-        settings: With the robot.
-        model: The compiled scene.
-        data: The state of the scene.
-        body: Dimensions of the robot.
-    """
+    """A robot in a scene: the compiled ``model``, its state ``data`` and the dimensions of the robot's ``body``."""
 
     def __init__(self, settings: SimSettings, room: mujoco.MjSpec, body: Body) -> None:
         """Put the settings' robot of these dimensions into a room without moving parts, at rest."""
@@ -129,7 +122,8 @@ class Chassis:
         data.ctrl[:] = wheel_speed
         self.advance(self._substeps)
         if data.warning.number.any():
-            raise WorkError(f"physics failed at {data.time:.2f} s: {_name_warning(data)}")
+            names = [mujoco.mjtWarning(kind).name for kind in np.flatnonzero(data.warning.number).tolist()]
+            raise WorkError(f"physics failed at {data.time:.2f} s: MuJoCo warned {', '.join(names)}")
         if data.qpos[2] < -FALL_DEPTH_M:
             raise WorkError(f"the robot fell through the room's floor at {data.time:.2f} s: the floor has a hole")
         # After a step the sensors are one step behind the joints: evaluate them for the current state.
@@ -196,8 +190,3 @@ def _settle(settings: SimSettings) -> np.ndarray:
     rest[[model.joint(ROBOT_PREFIX + name).qposadr[0] for name in WHEELS]] = 0.0  # springs stay as they settled
     rest[3:7] /= np.linalg.norm(rest[3:7])
     return rest
-
-
-def _name_warning(data: mujoco.MjData) -> str:
-    names = [mujoco.mjtWarning(kind).name for kind in np.flatnonzero(data.warning.number).tolist()]
-    return f"MuJoCo warned {', '.join(names)}"

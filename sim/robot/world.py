@@ -8,7 +8,7 @@ import numpy as np
 from sim.geometry import FreeSpace
 from sim.robot.calibrate import calibrate_own
 from sim.robot.chassis import Chassis
-from sim.robot.model import Body, describe_body
+from sim.robot.model import describe_body
 from sim.robot.range_finder import REACH_M, RangeFinder
 from sim.rooms.build import build_room
 from sim.rooms.deployment import change_room
@@ -30,7 +30,9 @@ class RoomWorld(Chassis):
         ``drawn`` tells whether ``model`` includes geoms that nothing can touch; physics is a third faster without them.
         """
         still = change_room(build_room(settings.room) if room is None else room, settings.deployment)
-        super().__init__(settings, still if drawn else bare(still), measure_body(settings))
+        # the dimensions of a user's own robot are measured in two drives on an empty floor
+        body = describe_body(settings.camera) if settings.robot.mjcf is None else calibrate_own(settings)
+        super().__init__(settings, still if drawn else bare(still), body)
         self.room = still.compile()
         self._finder = RangeFinder(still, self.body.height_m, self.body.radius_m)
 
@@ -71,10 +73,3 @@ class RoomWorld(Chassis):
         """Return distances (K,) of the range rays [m] of a robot at a pose (3,) x, y [m], yaw [rad]."""
         x, y, yaw = pose.tolist()
         return self._finder.measure(x, y, yaw, reach_m)
-
-
-def measure_body(settings: SimSettings) -> Body:
-    """Dimensions of the settings' robot; those of a user's own are measured in two drives on an empty floor."""
-    if settings.robot.mjcf is None:
-        return describe_body(settings.camera)
-    return calibrate_own(settings)

@@ -28,17 +28,11 @@ _MIN_ZENITH_SINE = 0.1  # least sine of the zenith angle in the field of a lean,
 
 
 class Fitted(NamedTuple):
-    """Rotation from the first to the second image of M pairs.
+    """Rotation from the first to the second image of M pairs."""
 
-    Attributes:
-        angle: Angle turned to the left (M,) [rad].
-        std: Its standard deviation (M,) [rad].
-        lean: Lean of the second camera against the first, to the second's right and forward (M, 2) [rad].
-    """
-
-    angle: np.ndarray
-    std: np.ndarray
-    lean: np.ndarray
+    angle: np.ndarray  # Angle turned to the left (M,) [rad]
+    std: np.ndarray  # Its standard deviation (M,) [rad]
+    lean: np.ndarray  # Lean of the second camera against the first, to the second's right and forward (M, 2) [rad]
 
 
 @dataclass(frozen=True, eq=False)

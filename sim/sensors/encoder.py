@@ -120,11 +120,6 @@ def stick_wheel(wheel_angle: np.ndarray, stuck: float, rng: np.random.Generator)
     return _accumulate(wheel_angle, gap) if length else wheel_angle
 
 
-def lose_readings(count: int, lost: float, rng: np.random.Generator) -> np.ndarray:
-    """Mask (count,) bool of the readings that never arrive, each with probability ``lost``."""
-    return rng.random(count) < lost
-
-
 def _accumulate(wheel_angle: np.ndarray, gap: np.ndarray) -> np.ndarray:
     start = wheel_angle[:1]
     return np.concatenate([start, start + np.cumsum(gap, axis=0)])
@@ -164,7 +159,7 @@ FAULTS: tuple[Fault, ...] = (
     Fault(
         ("dropout",),
         "part of the readings lost",
-        drops=lambda count, encoder, rng: lose_readings(count, encoder.dropout, rng),
+        drops=lambda count, encoder, rng: rng.random(count) < encoder.dropout,
     ),
     Fault(
         ("stuck_fraction",),

@@ -30,17 +30,8 @@ class Face:
 class Offscreen:
     """A buffer to draw in, the base of the cameras; it belongs to the thread that opened it.
 
-    Attributes:
-        target: MuJoCo's rendering context.
-        renderer_string: Name of the OpenGL renderer.
-
-    Args:
-        model: The model whose meshes and textures are loaded.
-        width: Columns [px].
-        height: Rows [px].
-
-    Raises:
-        WorkError: No OpenGL context can be opened; the message names the fix.
+    It has so many columns and rows [px], loads a model's meshes and textures, and knows the name of the OpenGL
+    renderer. Raises WorkError if no OpenGL context can be opened; the message names the fix.
     """
 
     def __init__(self, model: mujoco.MjModel, width: int, height: int) -> None:
