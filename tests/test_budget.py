@@ -5,7 +5,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "lines of sim and deepgps": 42_050,
+    "lines of sim and deepgps": 41_250,
     "files of sim and deepgps": 280,
     "lines of tests": 28_285,
     "Python files directly in deepgps": 2,
