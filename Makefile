@@ -28,7 +28,7 @@ bench: setup  ## how fast this machine runs the demo, draws, trains and position
 	PYTHONPATH=. $(BIN)/python tests/bench.py
 
 times: setup-dev  ## how long set-up, demo and tests take on this machine: the README's table
-	PYTHONPATH=. $(BIN)/python tests/times.py
+	PYTHONPATH=. $(BIN)/python docs/times.py
 
 docs: setup-dev  ## the reference from the code, and the documentation, in build/docs; warnings are errors
 	$(BIN)/python -m docs.generate

@@ -8,18 +8,13 @@ import numpy as np
 import pytest
 import yaml
 
-from deepgps.commands.main import COMMANDS
 from deepgps.config.methods import METHODS
 from deepgps.config.scenario import Scenario, names_in
 from deepgps.evaluation.error_field import read_fields
-from deepgps.studies.study import Study
+from docs import times
 from docs.generate import (
     REFERENCE,
-    ROBOT,
-    describe_commands,
-    describe_robot,
     describe_settings,
-    describe_study,
     fill_in,
     list_groups,
 )
@@ -28,8 +23,6 @@ from sim.files.checksums import read_json
 from sim.settings import EncoderSettings
 from tests.helpers.pages import PAGES, ROOT, check_block, find_blocks
 from tests.helpers.reader import Reader
-from tests.times import COLUMNS, list_rows
-from tests.times import COMMANDS as COMMANDS_TIMED
 
 RUN = {"bash", "python", "yaml"}
 SHOWN_LANGUAGES = {"text", "xml", "toml", "bibtex", "{eval-rst}"}
@@ -81,13 +74,13 @@ def test_a_page_s_headings_skip_no_level(page: Path) -> None:
 def test_the_readme_has_the_table_that_make_times_prints() -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     rows = dict(re.findall(r"^\| (.+?) +\| +[\d.]+ \w+ \| +([\d.]+) (?:s|min) \|$", text, re.MULTILINE))
-    assert list(rows) == [name for name, _ in COMMANDS_TIMED.values()]
-    assert all(re.search(rf"^\|  .*\| +{column}\b", text, re.MULTILINE) for column in COLUMNS)
+    assert list(rows) == [name for name, _ in times.COMMANDS.values()]
+    assert all(re.search(rf"^\|  .*\| +{column}\b", text, re.MULTILINE) for column in times.COLUMNS)
 
 
 def test_of_two_machines_the_one_that_was_measured_has_its_own_time() -> None:
-    assert list(list_rows({"demo": 360.0}, slow=True)) == [("`make demo` after it", "2 min", "6 min")]
-    assert list(list_rows({"tiny": 12.0}, slow=False)) == [("`deepgps run tiny`", "10 s", "40 s")]
+    assert list(times.list_rows({"demo": 360.0}, slow=True)) == [("`make demo` after it", "2 min", "6 min")]
+    assert list(times.list_rows({"tiny": 12.0}, slow=False)) == [("`deepgps run tiny`", "10 s", "40 s")]
 
 
 DATED_COMMIT = re.compile(r"\b([0-9a-f]{7}) \(\d{1,2} \w+ 20\d\d\)")
@@ -129,25 +122,6 @@ def test_limits_and_choices_of_settings_are_told() -> None:
     assert "number, more than 0.01, at most 0.5 | " in page.partition("| `drive.speed_mps`")[2]
     assert "| `room.width_m` | `null`; number, 2 to 30 or `null` |" in page
     assert all(f"`{method}`" in page for method in METHODS)
-
-
-def test_every_key_of_a_study_is_described() -> None:
-    assert set(re.findall(r"^\| `(\w+)` ", describe_study(), re.MULTILINE)) == set(Study.model_fields)
-
-
-def test_every_key_of_a_robot_s_file_is_described() -> None:
-    page = describe_robot()
-    described = set(re.findall(r"^\| `(\S+)` ", page, re.MULTILINE))
-    groups = {name for name in ROBOT if name}
-    wanted = {f"{name}.{key}".lstrip(".") for name, group in ROBOT.items() for key in group.model_fields}
-    assert described | groups == wanted | groups
-    assert "| `wheels.lag_s` | `0.0`; number or one of `estimate` |" in page
-
-
-def test_every_command_is_described_by_its_own_help() -> None:
-    page = describe_commands()
-    for command in COMMANDS:
-        assert re.search(rf"^## `deepgps {command}`\n\n```text\nusage: deepgps {command}", page, re.MULTILINE)
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,6 @@
 """Measure how long set-up, runs and tests take on this machine, and print the table that the README quotes.
 
-Usage: python tests/times.py [COMMAND ...], some of set-up, demo, tiny and test, by default all. Everything runs in
+Usage: python docs/times.py [COMMAND ...], some of set-up, demo, tiny and test, by default all. Everything runs in
 temporary folders of ``runs/``; set-up means a new clone.
 """
 
