@@ -42,9 +42,9 @@ def draw_trust(space: FreeSpace, fields: Mapping[str, ErrorField]) -> Figure:
 
 
 def tabulate_trust(methods: Mapping[str, Any]) -> str:
-    """A row for each method on the test grid, then for each on the drive in use; errors in centimetres."""
+    """A row for each method on the test grid, then for each on the deployment drive; errors in centimetres."""
     rows = [_row(name, "grid", values) for name, values in methods.items()]
-    rows += [_row(name, "drive in use", values["in_use"]) for name, values in methods.items() if "in_use" in values]
+    rows += [_row(name, "deployment drive", values["in_use"]) for name, values in methods.items() if "in_use" in values]
     return tabulate(HEADINGS, rows)
 
 

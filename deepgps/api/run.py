@@ -126,7 +126,7 @@ class Run:
 
         Args:
             method: Name of the method; None: the first of the run.
-            drive: Folder of a recording of the same robot in the same room; None: the drive in use.
+            drive: Folder of a recording of the same robot in the same room; None: the deployment drive.
 
         Returns:
             Poses of its images in the method's own frame: ``paths["causal"]`` while driving, ``paths["smoothed"]``
@@ -144,7 +144,7 @@ class Run:
 
         Args:
             method: Name of the method; None: the first of the run.
-            drive: Folder of a recording of the same robot; None: the drive in use.
+            drive: Folder of a recording of the same robot; None: the deployment drive.
 
         Returns:
             The cause of each image; None where observations are no images, or the method accepts all.
@@ -152,13 +152,13 @@ class Run:
         Raises:
             InputError: There is no such method or drive.
         """
-        from deepgps.evaluation.in_use import open_drive_in_use
+        from deepgps.evaluation.deployment import open_deployment
         from deepgps.learning.trainer import use_threads
         from deepgps.tracking.causes import name_causes
 
-        recording = open_drive_in_use(self.recording) if drive is None else open_recording(Path(drive))
+        recording = open_deployment(self.recording) if drive is None else open_recording(Path(drive))
         if recording is None:
-            raise InputError(f"{self.folder} has no drive in use, which --deployment.drive-samples makes")
+            raise InputError(f"{self.folder} has no deployment drive, which --deployment.drive-samples makes")
         with use_threads(self.scenario.learn.train.threads):
             return name_causes(self.positioner(method), self.recording, recording)
 

@@ -65,7 +65,7 @@ class TrackArguments:
     method: OptionalMethod = None
     """A method that is trained in it; none: its first."""
     drive: OptionalFolder = None
-    """The folder of another recording of the same robot and room; none: the drive in use."""
+    """The folder of another recording of the same robot and room; none: the deployment drive."""
     tum: OptionalFolder = None
     """Write the paths as TUM files, which evo reads, to this folder; also the truth, if it is known."""
     plugin: Plugins = ()
@@ -73,7 +73,7 @@ class TrackArguments:
 
 
 def track_command(words: Sequence[str]) -> None:
-    """Track the robot through the drive in use, or another recording, by single images and odometry together."""
+    """Track the robot through the deployment drive, or another recording, by single images and odometry together."""
     arguments = parse(TrackArguments, "track", words, track_command.__doc__)
     load_plugins(arguments.plugin)
     from deepgps.evaluation.track_run import track_run, write_tums

@@ -2,7 +2,7 @@
 
 By the compass, the two images of a turn show how far the heading changes. The wheels choose between the peaks of the
 compass and count whole turns; they never change an angle. The lean is measured over all turns of the training drive,
-and again over the last turns of a drive in use. Smaller leans than ``MIN_LEAN_RAD`` are not corrected, so that the
+and again over the last turns of a deployment drive. Smaller leans than ``MIN_LEAN_RAD`` are not corrected, so that the
 images of a level camera stay as they are.
 
 Of images taken centimetres apart a coarse description is as good as the whole images: a few rings without colours, and
@@ -52,7 +52,7 @@ def find_in_place(turns: Turns) -> np.ndarray:
 
 
 MIN_LEAN_RAD = np.radians(0.1)  # Leans, or differences of leans, up to this are not corrected [rad]
-LAST_TURNS = 5  # Turns in place from which the lean in use is measured
+LAST_TURNS = 5  # Turns in place from which the lean in deployment is measured
 MAX_TURNS = 100  # Turns in place from which the lean of the training drive is measured, spread evenly over it
 MAX_ROUNDS = 5
 """Most corrections of the lean: of two images that lean by many degrees apart, one fit finds only a part of it."""
@@ -113,10 +113,10 @@ def ignore_small(upright: Upright) -> Upright:
 
 
 def adapt_upright(trained: Upright, drive: Recording) -> tuple[Upright, tuple[float, float] | None]:
-    """What sets the images of a drive in use upright, whose camera may have been knocked since training.
+    """What sets the images of a deployment drive upright, whose camera may have been knocked since training.
 
-    That of training, unless the lean has changed by more than ``MIN_LEAN_RAD``; and the lean in use (2,) [rad], None
-    where the drive has fewer than ``LAST_TURNS`` turns in place.
+    That of training, unless the lean has changed by more than ``MIN_LEAN_RAD``; and the lean in deployment (2,) [rad],
+    None where the drive has fewer than ``LAST_TURNS`` turns in place.
     """
     turns = turns_with_images(drive)
     if turns is None or len(last := find_in_place(turns)[-LAST_TURNS:]) < LAST_TURNS:

@@ -14,8 +14,8 @@ from deepgps.config.methods import METHODS, folder_of
 from deepgps.config.scenario import Scenario
 from deepgps.data.checks import check_observations
 from deepgps.data.segments import dead_reckon
+from deepgps.evaluation.deployment import adapt, check_predicted, find_causes, measure_deployment, open_deployment
 from deepgps.evaluation.error_field import ErrorField, find_rms, write_fields
-from deepgps.evaluation.in_use import adapt, check_predicted, find_causes, measure_in_use, open_drive_in_use
 from deepgps.evaluation.map_errors import (
     add_expected,
     describe_parts,
@@ -63,7 +63,7 @@ class Predictions(NamedTuple):
     training: np.ndarray  # Positions of the training images (N, 2) [m]
     poses: Poses  # Poses of the test images (C * H)
     trained: Positioner  # The positioner as it was trained
-    positioner: Positioner  # The positioner of the camera in use, which took the test images
+    positioner: Positioner  # The positioner of the camera in deployment, which took the test images
     lean: dict[str, float]  # How that camera leans, for ``metrics.json``
 
 
@@ -81,12 +81,12 @@ def _measure(run: Path, scenario: Scenario, progress: Report) -> dict[str, Any]:
     truth = open_truth(run / "recording")
     _check_tests(recording, truth)
     labels, side_m = _find_labels(run / "recording"), truth.free_space.shorter_side_m
-    in_use = open_drive_in_use(recording)
+    deployment = open_deployment(recording)
     fields, use_fields, label_fields, methods = {}, {}, {}, {}
     device = find_device(scenario.learn.train.device)
     for number, method in enumerate(scenario.methods):
         progress("evaluate", number, len(scenario.methods))
-        maps = predict(folder_of(run, method), recording, in_use, device)
+        maps = predict(folder_of(run, method), recording, deployment, device)
         fields[method], alignment = measure_field(maps, method, truth)
         write_alignment(folder_of(run, method), alignment, METHODS[method].alignment)
         methods[method] = {
@@ -109,10 +109,10 @@ def _measure(run: Path, scenario: Scenario, progress: Report) -> dict[str, Any]:
             placed = place_map(stored, find_true_camera(recording, truth))
             fields[method] = add_expected(fields[method], placed)
             methods[method]["map"] |= judge_map(placed)
-        if in_use is not None:
-            use_fields[method] = measure_in_use(maps.positioner, alignment, in_use, folder_of(run, method))
-            causes = find_causes(maps.trained, recording, in_use)
-            # The same errors on the images of the drive in use, each a position of its own
+        if deployment is not None:
+            use_fields[method] = measure_deployment(maps.positioner, alignment, deployment, folder_of(run, method))
+            causes = find_causes(maps.trained, recording, deployment)
+            # The same errors on the images of the deployment drive, each a position of its own
             methods[method]["in_use"] = {**_summarise(use_fields[method], side_m), **maps.lean, **causes}
         if labels is not None:
             label_fields[method], to_labels = measure_field(maps, method, labels)
@@ -135,23 +135,23 @@ def _measure(run: Path, scenario: Scenario, progress: Report) -> dict[str, Any]:
         # Drift of the dead-reckoned path: RMS and largest error after an SE2 alignment of it
         "trajectory": measure_trajectory(recording, truth),
         "distances": judge_encoders(recording, truth),  # Errors of the encoders' distances along complete segments
-        # Images of the drive in use, where there is one
-        **({} if in_use is None else {"in_use": {"samples": len(in_use.observation)}}),
+        # Images of the deployment drive, where there is one
+        **({} if deployment is None else {"in_use": {"samples": len(deployment.observation)}}),
         "methods": methods,  # Figures of each method, by its name
     }
 
 
 def predict(
-    folder: Path, recording: Recording, in_use: Recording | None = None, device: torch.device = CPU
+    folder: Path, recording: Recording, deployment: Recording | None = None, device: torch.device = CPU
 ) -> Predictions:
-    """What the method trained in a folder predicts; a drive in use shows how the camera leans that took the tests."""
+    """What the method trained in a folder predicts; a deployment drive shows the lean of the tests' camera."""
     positioner = load_positioner(folder, device)
-    positioner_in_use, lean = adapt(positioner, in_use)
+    deployed, lean = adapt(positioner, deployment)
     cells, headings = recording.test_observation.shape[:2]
     images = recording.test_observation.reshape(cells * headings, *recording.test_observation.shape[2:])
-    training, poses = positioner(recording.observation), find_poses(positioner_in_use, images)
+    training, poses = positioner(recording.observation), find_poses(deployed, images)
     check_predicted(folder, np.concatenate([training, poses.position]))
-    return Predictions(training, poses, positioner, positioner_in_use, lean)
+    return Predictions(training, poses, positioner, deployed, lean)
 
 
 def _check_tests(recording: Recording, truth: Truth) -> None:

@@ -1,4 +1,4 @@
-"""A trained method of a run tracks the robot through the drive in use, or through another recording."""
+"""A trained method of a run tracks the robot through the deployment drive, or through another recording."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,8 +10,8 @@ from deepgps.config.methods import folder_of
 from deepgps.config.scenario import Scenario
 from deepgps.data.checks import check_recording, check_view, find_view
 from deepgps.diagnosis.store import digest_files
+from deepgps.evaluation.deployment import adapt, find_causes, open_deployment
 from deepgps.evaluation.error_field import find_rms
-from deepgps.evaluation.in_use import adapt, find_causes, open_drive_in_use
 from deepgps.evaluation.stored_alignment import has_alignment, read_alignment
 from deepgps.learning.trainer import find_device, use_threads
 from deepgps.positioner.stored_positioner import load_positioner
@@ -56,8 +56,9 @@ class Tracked:
 def track_run(run: Path, method: str | None, drive: Path | None, progress: Report) -> Tracked:
     """Track the robot, and write ``tracking/<method>.npz`` and ``.json`` in the run's folder.
 
-    By default the method is the first of the run, and the drive that in use. Raises InputError if the folder is no run,
-    is in use, has no such method or no drive in use, or the truth of both drives is known but it is not evaluated.
+    By default the method is the first of the run, and the drive that of deployment. Raises InputError if the folder is
+    no run, is in use, has no such method or no deployment drive, or the truth of both drives is known but it is not
+    evaluated.
     """
     scenario = open_run(run)
     with hold(run, RUN, "the run"):
@@ -123,10 +124,10 @@ def _open_drive(run: Path, drive: Path | None, method: str) -> tuple[Recording, 
         if (view_deg := find_view(recording)) is not None:
             check_view(view_deg, find_view(open_recording(run / "recording")))
         return recording, run / FOLDER / f"{method}-{digest_files(recording)[:8]}"
-    recording = open_drive_in_use(open_recording(run / "recording"))
+    recording = open_deployment(open_recording(run / "recording"))
     if recording is None:
         raise InputError(
-            f"{run} has no drive in use, which --deployment.drive-samples makes; or name the folder of a recording"
+            f"{run} has no deployment drive, which --deployment.drive-samples makes; or name the folder of a recording"
         )
     return recording, run / FOLDER / method
 

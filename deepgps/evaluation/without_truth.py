@@ -17,8 +17,8 @@ from deepgps.data.turns import compare_images, find_in_place, take_images, turns
 from deepgps.diagnosis.diagnosis import diagnose
 from deepgps.diagnosis.findings import find_faults
 from deepgps.diagnosis.store import read_diagnosis
+from deepgps.evaluation.deployment import adapt, check_predicted, find_causes, open_deployment
 from deepgps.evaluation.error_field import find_rms
-from deepgps.evaluation.in_use import adapt, check_predicted, find_causes, open_drive_in_use
 from deepgps.evaluation.measures import expect_new, measure_new
 from deepgps.evaluation.segment_errors import describe_drive
 from deepgps.learning.trainer import find_device, use_threads
@@ -42,7 +42,7 @@ def judge(run: Path, scenario: Scenario, progress: Report = ignore) -> dict[str,
     Returns the contents of ``without_truth.json``: what was driven, and for each method what is known of it.
     """
     recording = open_recording(run / "recording")
-    held_out = open_drive_in_use(recording)
+    held_out = open_deployment(recording)
     methods = {}
     device = find_device(scenario.learn.train.device)
     with use_threads(scenario.learn.train.threads):

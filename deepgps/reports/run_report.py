@@ -74,7 +74,7 @@ def read_times(run: Path, metrics: Mapping[str, Any]) -> dict[str, float]:
 
 
 def describe(metrics: Mapping[str, Any], times: Mapping[str, float] | None = None) -> list[str]:
-    """Describe the drive, the encoders, the coverage, what is accepted, the camera, the drive in use and the time.
+    """Describe the drive, the encoders, the coverage, what is accepted, the camera, the deployment drive and the time.
 
     Seconds of each stage are those in the metrics, without ``show``, unless they are given.
     """
@@ -107,7 +107,7 @@ def describe(metrics: Mapping[str, Any], times: Mapping[str, float] | None = Non
         ),
         *_describe_maps(methods),
         *_describe_leans(methods),
-        *_describe_in_use(metrics),
+        *_describe_deployment(metrics),
         f"Time: {parts}; {sum(stages.values()):.1f} s in all.",
     ]
 
@@ -174,7 +174,7 @@ def _describe_maps(methods: Mapping[str, Any]) -> list[str]:
 
 
 def _describe_leans(methods: Mapping[str, Any]) -> list[str]:
-    """How the camera leans, in training and in use, by the first method that measures it, if it does so visibly."""
+    """How the camera leans, in training and deployment, by the first method that measures it, if it does so visibly."""
     trained = next((values for values in methods.values() if "lean_roll_deg" in values), {})
     places = {"training": trained, "use": trained.get("in_use", {})}
     leans = {
@@ -188,18 +188,20 @@ def _describe_leans(methods: Mapping[str, Any]) -> list[str]:
     return [f"By its turns, the camera leans {', '.join(parts)}."]
 
 
-def _describe_in_use(metrics: Mapping[str, Any]) -> list[str]:
-    """Errors on the images of the drive in use, if there was one, and what the first method that tells says of it."""
+def _describe_deployment(metrics: Mapping[str, Any]) -> list[str]:
+    """Errors on the images of a deployment drive, if any, and what the first method that tells says of it."""
     found = {name: values["in_use"] for name, values in metrics["methods"].items() if "in_use" in values}
     if not found:
         return []
-    parts = (f"{title_of(name)} {_describe_errors_in_use(values)}" for name, values in found.items())
-    errors = f"RMS (median) on the {metrics['in_use']['samples']} images of the drive in use [cm]: {'; '.join(parts)}."
+    parts = (f"{title_of(name)} {_describe_deployment_errors(values)}" for name, values in found.items())
+    errors = (
+        f"RMS (median) on the {metrics['in_use']['samples']} images of the deployment drive [cm]: {'; '.join(parts)}."
+    )
     causes = (describe_causes(values["causes"]) for values in found.values() if "causes" in values)
     return [errors, *islice(causes, 1)]
 
 
-def _describe_errors_in_use(values: Mapping[str, Any]) -> str:
+def _describe_deployment_errors(values: Mapping[str, Any]) -> str:
     of_all = f"{write_hundredths(values['rms_m'])} ({write_hundredths(values['median_m'])})"
     if values.get("rms_accepted_m") is None:
         return of_all

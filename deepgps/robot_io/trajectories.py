@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from deepgps.api.run import Frame, Run
-from deepgps.evaluation.in_use import adapt, open_drive_in_use
+from deepgps.evaluation.deployment import adapt, open_deployment
 from deepgps.learning.trainer import use_threads
 from deepgps.positioner.confidence import find_normal_radius
 from deepgps.positioner.pose import Poses, find_poses
@@ -77,12 +77,12 @@ def write_trajectories(folder: Path, trajectories: Sequence[Trajectory], formats
 
 def open_drives(run: Run) -> dict[str, Recording]:
     """The recordings of a run's drives by name."""
-    in_use = open_drive_in_use(run.recording)
-    return {"training": run.recording} | ({} if in_use is None else {"use": in_use})
+    deployment = open_deployment(run.recording)
+    return {"training": run.recording} | ({} if deployment is None else {"use": deployment})
 
 
 def find_trajectories(run: Run, method: str | None, frame: Frame | None, progress: Report) -> list[Trajectory]:
-    """The true trajectory and those of a method, or of all, along the training drive and the drive in use.
+    """The true trajectory and those of a method, or of all, along the training drive and the deployment drive.
 
     Without a frame, the methods' is the world's where evaluation has placed the map; the truth is in the world's.
     Raises InputError if there is no such method, the recording has no times, or a map has no place in the world.
@@ -104,7 +104,7 @@ def find_trajectories(run: Run, method: str | None, frame: Frame | None, progres
         for name in methods:
             alignment, positioner = run.alignment(name, frame or run.choose_frame(name)), run.positioner(name)
             if drive == "use":
-                positioner, _ = adapt(positioner, recording)  # the lean in use is corrected as in evaluation
+                positioner, _ = adapt(positioner, recording)  # the lean in deployment is corrected as in evaluation
             with use_threads(run.scenario.learn.train.threads):
                 poses = find_poses(positioner, recording.observation)
             add(drive, name, time_s, (poses if alignment is None else poses.align(alignment)).take(order))
@@ -149,7 +149,7 @@ WRITERS: dict[Format, Callable[[Path, Trajectory], None]] = {"tum": write_path, 
 
 
 def write_drives(folder: Path, run: Run, trajectories: Sequence[Trajectory], progress: Report) -> None:
-    """Write ``mcap/<drive>.mcap`` for the training drive and the drive in use, with trajectories along them."""
+    """Write ``mcap/<drive>.mcap`` for the training drive and the deployment drive, with trajectories along them."""
     start_ns = run.recording.manifest.start_ns  # all drives of a log count from its start
     for drive, recording in open_drives(run).items():
         topics = [*list_readings(recording, start_ns), *list_images(recording, start_ns)]

@@ -1,4 +1,4 @@
-"""Names why images of a drive in use are refused or suspicious, by comparing it with what a method has learned from.
+"""Names why images are refused or suspicious, by comparing a deployment drive with what a method has learned from.
 
 Images are named as they come, too, by each image and those before it. A camera that leans shows at turns only, and a
 frozen image by wheels that move: neither is known here.
@@ -107,7 +107,7 @@ def describe_causes(causes: Mapping[str, Any]) -> str:
         parts.append(f"pixel values are {causes['gain']:.2f} times those in training")
     if "camera" in named:
         parts.append(f"the camera's lean differs by {causes['lean_deg']:.1f}° from that in training")
-    return f"The drive in use: {'; '.join(parts)}."
+    return f"The deployment drive: {'; '.join(parts)}."
 
 
 def _list_shares(shares: Mapping[str, float]) -> str:
@@ -117,7 +117,7 @@ def _list_shares(shares: Mapping[str, float]) -> str:
 
 @dataclass(frozen=True)
 class Causes:
-    """What is wrong in a drive in use of N images."""
+    """What is wrong in a deployment drive of N images."""
 
     label: np.ndarray  # Name of each image's cause in ``TITLES`` (N,) str; empty: none
     accepted: np.ndarray  # Whether the method accepts it and it has no cause in ``FAULTY_CAUSES`` (N,) bool
@@ -254,7 +254,7 @@ def measure_upright(recording: Recording) -> Upright | None:
 
 
 def name_causes(positioner: Positioner, recording: Recording, drive: Recording) -> Causes | None:
-    """Name why images of a drive in use are refused by a method trained on a recording; None like ``make_monitor``."""
+    """Name why a method trained on a recording refuses images of a deployment drive; None like ``make_monitor``."""
     monitor = make_monitor(positioner, recording)
     return None if monitor is None else monitor.name(drive)
 

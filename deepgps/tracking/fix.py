@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 POSITION_STD_FACTOR, MIN_POSITION_STD_M = 2.0, 0.002
 """Errors of positions over ``Poses.position_std``, which knows only how straight segments are; and their least standard
-deviation [m]. Measured on drives in use of two rooms: 1.7 and 2.1."""
+deviation [m]. Measured on deployment drives of two rooms: 1.7 and 2.1."""
 USUAL_POSITION_STD_M = 0.02  # Standard deviation of the positions of methods that give none [m]
 RADIUS_68_PER_STD = 1.5096
 """Radius of 68 % over the standard deviation along one axis, of a normal distribution in the plane."""

@@ -46,11 +46,11 @@ from sim.recording.manifest import (
     DEPLOYMENT_FOLDER,
     NO_TESTS,
     PACKAGES,
-    choose_drive_in_use,
+    choose_deployment,
     light_part,
     name_sensors,
-    seed_in_use,
-    set_in_use,
+    seed_deployment,
+    set_deployment,
 )
 from sim.recording.renderers import Part, Renderers, count_renderers
 from sim.rng import stream
@@ -103,9 +103,9 @@ def collect(
     workers: int | None = None,
     base: Path | None = None,
 ) -> None:
-    """Make a recording, or complete an unfinished one, which has no ``manifest.json`` yet; a drive in use comes first.
+    """Make a recording, or complete an unfinished one without ``manifest.json``; a deployment drive comes first.
 
-    Progress is a stage (``drive`` or ``render``, or these ``in use``), the number of images done and their total.
+    Progress is a stage (``drive`` or ``render``, or these ``in deployment``), the number of images done and the total.
     Without a number of workers, one renders on each usable core, or fewer if there are few images. Of a base, a
     finished recording for which ``has_same_training_drive`` holds, only what differs is made. Raises InputError if the
     room cannot be used or has no test position, WorkError if there is no renderer, physics failed, or the disk is full.
@@ -125,15 +125,17 @@ def collect(
         log.warning("%s", note)
     test_pose = NO_TESTS if settings.grid.held_out else lay_grid(world, settings)
     job = _Job(settings, seed, world, test_pose, folder, work, base)
-    in_use = _plan_drive_in_use(job)
-    check_space(folder, sum(one.estimate_bytes() for one in (job, *in_use)))
-    for one in in_use:
-        _record(one, lambda stage, *done: progress(f"{stage} in use", *done), workers, build_s, time.perf_counter())
+    deployment = _plan_deployment(job)
+    check_space(folder, sum(one.estimate_bytes() for one in (job, *deployment)))
+    for one in deployment:
+        _record(
+            one, lambda stage, *done: progress(f"{stage} in deployment", *done), workers, build_s, time.perf_counter()
+        )
     _record(job, progress, workers, build_s, start)
 
 
-def _plan_drive_in_use(job: _Job) -> list[_Job]:
-    """The recording of the drive in use, if there is to be one and it is not finished."""
+def _plan_deployment(job: _Job) -> list[_Job]:
+    """The recording of the deployment drive, if there is to be one and it is not finished."""
     folder, work = job.folder / DEPLOYMENT_FOLDER, job.work / DEPLOYMENT_FOLDER
     if not job.settings.deployment.drive_samples:
         return []
@@ -142,8 +144,8 @@ def _plan_drive_in_use(job: _Job) -> list[_Job]:
         return []
     remove_files(folder, OWN_PATH)
     work.mkdir(exist_ok=True)
-    settings = choose_drive_in_use(job.settings)
-    return [_Job(settings, seed_in_use(job.seed), RoomWorld(settings, drawn=False), NO_TESTS, folder, work)]
+    settings = choose_deployment(job.settings)
+    return [_Job(settings, seed_deployment(job.seed), RoomWorld(settings, drawn=False), NO_TESTS, folder, work)]
 
 
 def _record(job: _Job, progress: Report, workers: int | None, build_s: float, start: float) -> None:
@@ -249,7 +251,7 @@ def _drive(job: _Job, give: Callable[[Part], None], progress: Report) -> Collect
 
 def _lay_out_tests(job: _Job) -> list[Part]:
     """Divide the test grid into parts: the robot at rest at each pose, in the room as it is in deployment."""
-    settings, lean = set_in_use(job.settings), spawn_streams(job.seed).test_lean
+    settings, lean = set_deployment(job.settings), spawn_streams(job.seed).test_lean
     poses = job.test_pose.reshape(-1, 3)
     parts = []
     for index, first in enumerate(range(0, len(poses), CHUNK)):

@@ -31,7 +31,7 @@ from sim.recording.format import (
     remove_recording,
     turn_file,
 )
-from sim.recording.manifest import DEPLOYMENT_FOLDER, Manifest, choose_drive_in_use, read_settings, seed_in_use
+from sim.recording.manifest import DEPLOYMENT_FOLDER, Manifest, choose_deployment, read_settings, seed_deployment
 from sim.recording.turns import FILE as TURNS
 from sim.recording.turns import Turns, count_images, cut_turns, lose_turns
 from sim.rng import stream
@@ -91,7 +91,7 @@ def derive(base: Path, settings: SimSettings, seed: int, folder: Path) -> None:
         raise InputError(f"{base} {misfit}")
     remove_recording(folder)  # remove what a killed process left
     if settings.deployment.drive_samples:
-        derive(base / DEPLOYMENT_FOLDER, choose_drive_in_use(settings), seed_in_use(seed), folder / DEPLOYMENT_FOLDER)
+        derive(base / DEPLOYMENT_FOLDER, choose_deployment(settings), seed_deployment(seed), folder / DEPLOYMENT_FOLDER)
     samples = min(settings.drive.samples, len(truth.pose))
     kept = int((truth.reading[:, 1] < samples).sum())  # observations are numbered as they were made
     whole = samples == len(truth.pose)
@@ -160,7 +160,7 @@ def _read_again(
 def explain_misfit(base: Path, settings: SimSettings, seed: int) -> str | None:
     """Why no recording with these settings and this seed can be derived from that in a folder; None: it can.
 
-    Raises InputError if the manifest of the recording, or of its drive in use, cannot be read.
+    Raises InputError if the manifest of the recording, or of its deployment drive, cannot be read.
     """
     manifest = read_manifest(base)
     if misfit := _explain_misfit_of_drive(manifest, settings, seed):
@@ -168,16 +168,16 @@ def explain_misfit(base: Path, settings: SimSettings, seed: int) -> str | None:
     if not settings.deployment.drive_samples:
         return None
     if DEPLOYMENT_MANIFEST not in manifest.sha256:
-        return f"has no drive in use, and deployment.drive_samples is {settings.deployment.drive_samples}"
-    in_use = read_manifest(base / DEPLOYMENT_FOLDER)
-    misfit = _explain_misfit_of_drive(in_use, choose_drive_in_use(settings), seed_in_use(seed), DEPLOYMENT_SAMPLES)
-    return misfit and f"has a drive in use that {misfit}"
+        return f"has no deployment drive, and deployment.drive_samples is {settings.deployment.drive_samples}"
+    inner = read_manifest(base / DEPLOYMENT_FOLDER)
+    misfit = _explain_misfit_of_drive(inner, choose_deployment(settings), seed_deployment(seed), DEPLOYMENT_SAMPLES)
+    return misfit and f"has a deployment drive that {misfit}"
 
 
 def _explain_misfit_of_drive(
     manifest: Manifest, settings: SimSettings, seed: int, title: str = "drive.samples"
 ) -> str | None:
-    """The same for a recording without its drive in use, whose length is called ``title``."""
+    """The same for a recording without its deployment drive, whose length is called ``title``."""
     samples, other = settings.drive.samples, read_settings(manifest)
     length = other.drive.samples
     reasons = {

@@ -3,8 +3,8 @@
 A recording is a folder with ``manifest.json`` (written last: without it the recording is not finished); for each sensor
 ``observations/<sensor>.npy`` (N, ...) and ``observations/<sensor>_time.npy`` (N,), and at test positions
 ``test/<sensor>.npy`` (C, H, ...); ``reading.npy`` (R, 4) and ``time.npy`` (R,) of the encoders; ``labels/``, if
-a tag camera made some; for a simulation, ``scene.glb`` and ``truth/``. The folder ``use/`` holds the drive in use, if
-there is one: a recording of its own, whose manifest's checksum is in the outer manifest.
+a tag camera made some; for a simulation, ``scene.glb`` and ``truth/``. The folder ``use/`` holds the deployment drive,
+if there is one: a recording of its own, whose manifest's checksum is in the outer manifest.
 """
 
 import re
@@ -29,12 +29,12 @@ OWN_PATH = re.compile(
     r"|truth/(pose|reading|wheel_angle|state|test_pose|landmark|obstacle)\.npy|truth/free_space\.npz"
     r"|labels/((test_)?detection|tag)\.npz|labels/(test_)?pose\.npy"
 )
-"""Paths of a recording's files, without those of the drive in use."""
+"""Paths of a recording's files, without those of the deployment drive."""
 RECORDING = re.compile(rf"({DEPLOYMENT_FOLDER}/)?({OWN_PATH.pattern})")  # Paths of all files of a recording
 PART = re.compile(rf"drive-\d+\.npz|(image|test|turn)-\d+(\.{SENSOR})?\.np[yz]")
-"""Names of the parts of a drive, without those of the drive in use."""
+"""Names of the parts of a drive, without those of the deployment drive."""
 WORK_PATH = re.compile(rf"({DEPLOYMENT_FOLDER}/)?({PART.pattern})")  # Of all files of an unfinished one
-DEPLOYMENT_MANIFEST = f"{DEPLOYMENT_FOLDER}/manifest.json"  # Path of the manifest of the drive in use
+DEPLOYMENT_MANIFEST = f"{DEPLOYMENT_FOLDER}/manifest.json"  # Path of the manifest of the deployment drive
 RUN_RECORDING = "recording"  # Name of the folder of a run's recording; other recordings have names of their own
 Report = Callable[[str, int, int], None]  # Called with a stage of the work, the steps done and their number
 REPAIR_HINT = "restore it from a copy, or, if the simulator made it, make it again with --fresh"
@@ -223,7 +223,7 @@ def write_files(folder: Path, arrays: Mapping[str, np.ndarray], manifest: Mappin
 
 
 def finish_recording(folder: Path, manifest: Mapping[str, Any]) -> None:
-    """Complete the recording: write its manifest with the SHA-256 of every file; of a drive in use, of its manifest."""
+    """Complete the recording: write its manifest with the SHA-256 of each file and of a deployment drive's manifest."""
     names = sorted(path.relative_to(folder).as_posix() for path in list_files(folder, RECORDING))
     ours = [
         name for name in names if (OWN_PATH.fullmatch(name) and name != "manifest.json") or name == DEPLOYMENT_MANIFEST

@@ -1,6 +1,6 @@
 """The manifest: a recording's metadata, checked once when it is opened; and the settings of its parts.
 
-The drive in use is a second drive of the same robot after training, in the room and with the camera as they are then.
+The deployment drive is a second drive of the same robot after training, with room and camera as they are then.
 It is a recording of its own, in a folder inside the recording of the training drive; it has no test positions. The
 light may change during the training drive.
 """
@@ -88,7 +88,7 @@ LIGHT_STATES = (
     DeploymentSettings(daylight=0.0),
 )
 """Light of consecutive parts of the drive, in turn: as usual, little daylight, lamps off, night."""
-DEPLOYMENT_FOLDER = "use"  # Folder of the drive in use, in the recording's folder and in that of its parts
+DEPLOYMENT_FOLDER = "use"  # Folder of the deployment drive, in the recording's folder and in that of its parts
 NO_TESTS = np.empty((0, 1, 3))  # Poses of the test positions of a recording without any
 
 
@@ -99,8 +99,8 @@ def light_part(settings: SimSettings, number: int) -> SimSettings:
     return settings.model_copy(update={"deployment": LIGHT_STATES[number % len(LIGHT_STATES)]})
 
 
-def set_in_use(settings: SimSettings) -> SimSettings:
-    """Settings of all that is sensed in use: the room as ``deployment`` changes it, the camera as it leans then."""
+def set_deployment(settings: SimSettings) -> SimSettings:
+    """Settings of all sensed in deployment: the room as ``deployment`` changes it, the camera as it leans then."""
     leans = {name: value for name, value in settings.deployment.camera_mount if value is not None}
     changes = {"drive_samples": 0, "camera_mount": DeploymentMountSettings()}
     return settings.model_copy(
@@ -111,13 +111,13 @@ def set_in_use(settings: SimSettings) -> SimSettings:
     )
 
 
-def choose_drive_in_use(settings: SimSettings) -> SimSettings:
-    """Settings of the recording of the drive in use: in the room as ``deployment`` changes it, in the light of use."""
+def choose_deployment(settings: SimSettings) -> SimSettings:
+    """Settings of the deployment drive's recording: in the room and the light as ``deployment`` changes them."""
     drive = settings.drive.model_copy(update={"samples": settings.deployment.drive_samples, "mixed_light": False})
     grid = settings.grid.model_copy(update={"held_out": 0})
-    return set_in_use(settings).model_copy(update={"drive": drive, "grid": grid})
+    return set_deployment(settings).model_copy(update={"drive": drive, "grid": grid})
 
 
-def seed_in_use(seed: int) -> int:
-    """Seed of the drive in use, by the seed of the training drive: all its RNG streams are its own."""
+def seed_deployment(seed: int) -> int:
+    """Seed of the deployment drive, by the seed of the training drive: all its RNG streams are its own."""
     return derive_seed(seed, DEPLOYMENT_FOLDER)

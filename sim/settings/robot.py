@@ -185,11 +185,11 @@ class DeploymentMountSettings(MountSettings):
 
 
 class DeploymentSettings(Group):
-    """Changes between training and deployment: the test grid and the drive in use are made with them, the training
+    """Changes between training and deployment: the test grid and the deployment drive are made with them, the training
     drive is not."""
 
     drive_samples: int = Field(default=0, ge=0, le=100_000)
-    """Images of a drive in use, a second drive of the same robot after training, in the changed room; 0: none,
+    """Images of a deployment drive, a second drive of the same robot after training, in the changed room; 0: none,
     otherwise at least 16."""
     light: float = Field(default=1.0, ge=0.0, le=1.0)
     """All light, including that of windows, as a fraction of that in training; linear light, not pixel values."""

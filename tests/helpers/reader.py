@@ -22,8 +22,8 @@ SMALL_SCENARIO = "mini.yaml"
 """The scenario that every long run becomes."""
 SMALL_OVERRIDES = ("--drive.samples", "60", "--learn.train.steps", "20", "--learn.fold.restarts", "0")
 """Settings of runs with settings of their own, which cannot be copies of the finished run."""
-IN_USE = "--deployment.drive-samples"
-"""The length of a drive in use, which becomes a small one."""
+DEPLOYMENT_OPTION = "--deployment.drive-samples"
+"""The length of a deployment drive, which becomes a small one."""
 SMALL_STUDY = {"noise_w": ("noise_w", "--tiny"), "my_study.yaml": ("small_study.yaml",)}
 """The study that a long one becomes."""
 TESTED_ELSEWHERE = {
@@ -119,8 +119,8 @@ class Reader:
             words += SMALL_OVERRIDES[2:]
         elif words != [SMALL_SCENARIO] and not is_folder(words):
             words += SMALL_OVERRIDES
-        if IN_USE in words:
-            words += (IN_USE, "30")
+        if DEPLOYMENT_OPTION in words:
+            words += (DEPLOYMENT_OPTION, "30")
         key = (stage, *words)
         made = self.folder / (out or Path("runs") / f"small-{len(self.done)}")
         if (before := self.done.get(key)) and before != made:

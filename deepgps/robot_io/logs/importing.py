@@ -35,7 +35,7 @@ MIN_SEGMENTS = 3
 """Segments from which one is held out, however small the part that is wanted: errors cannot be measured without."""
 
 LAST_ENTRIES = ("schema", "sha256", "checksum")
-"""Entries of a manifest that are written again when a drive in use is added."""
+"""Entries of a manifest that are written again when a deployment drive is added."""
 HEIGHTS_M = (0.2, 1.5)  # Limits of the setting camera.height_m, by which only the viewer draws [m]
 
 
@@ -189,7 +189,7 @@ def _store(
     out: Path,
     about: Mapping[str, Any],
 ) -> None:
-    """Write the recording and, where it has no truth, what is held out as its drive in use."""
+    """Write the recording and, where it has no truth, what is held out as its deployment drive."""
     observation, turn, test, test_turn = np.split(images, np.cumsum([len(part) for part in choice.parts[:-1]]))
     known = _take_poses(config, drive, choice)
     if "pose" in known and len(test):

@@ -53,7 +53,7 @@ class CollectTask:
         make_recording(self.scenario, self.folder, report, self.base if shares else None, self.renderers)
 
     def _share_out(self, tell: Tell, shares: bool) -> Report:
-        """Report driving and drawing, in training and in use, as one amount in which all stages count the same."""
+        """Report driving and drawing, in training and deployment, as one amount in which all stages count the same."""
         stages = (1 if shares else 2) + (2 if self.scenario.deployment.drive_samples else 0)
         share: dict[str, float] = {}
 

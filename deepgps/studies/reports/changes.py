@@ -1,4 +1,4 @@
-"""The reports "camera", "change" and "knowing": what a fault or a change in use costs, and what is said of it."""
+"""The reports "camera", "change" and "knowing": what a fault or a change in deployment costs, what is said of it."""
 
 import json
 from collections.abc import Sequence
@@ -36,9 +36,9 @@ CHANGE_TIMES = {True: "deployment only", False: "training and deployment"}
 CAMERA_NOTE = (
     f"Means over seeds. {GRID}Base: the mean without faults. Changes between training and deployment do not appear in "
     "the training images. Test positions that moved furniture covers are left out. DeepGPS with compass sets the "
-    "images of a camera that leans upright, by turns in training and in use. Folded: maps that flip more than a tenth "
-    "of the neighbourhoods, which includes maps that are wrong only in deployment; said: maps that the detector, which "
-    "uses only the training images, reports as folded."
+    "images of a camera that leans upright, by turns in training and deployment. Folded: maps that flip more than a "
+    "tenth of the neighbourhoods, which includes maps that are wrong only in deployment; said: maps that the detector, "
+    "which uses only the training images, reports as folded."
 )
 LIGHT, VALUES, ROOM = "drive.mixed_light", "learn.features.values", "room.kind"
 LIGHTS = {False: "one light", True: "several lights"}
@@ -55,9 +55,9 @@ CHANGE_NOTE = (
     "none of the changes but that of the light, and that only with several lights: daylight 0.3, lamps off, night. "
     "Test positions that moved furniture covers are left out."
 )
-DRIVES = "drives"  # The column of the report "knowing" that holds drives in use as JSON
+DRIVES = "drives"  # The column of the report "knowing" that holds deployment drives as JSON
 KNOWING_NOTE = (
-    "All of the drive in use. Refused: share of its images; then the share of the images with each cause, also of "
+    "All of the deployment drive. Refused: share of its images; then the share of the images with each cause, also of "
     "accepted ones where the light has changed or images are frozen. Named: the causes of the drive, that of most "
     "images first; a lean is one of all images. Radii: share of the accepted images whose true position is within. "
     "Black and white images, a covered lens, frozen images and the drive in another room are derived from the run "
@@ -76,10 +76,10 @@ def name_faults(rows: Sequence[Row], varied: Sequence[str]) -> list[Row]:
     for row in rows:
         faults = [name for name in usual if row[name] != usual[name]]
         title = ", ".join(TITLES.get(name, f"{name} {{}}").format(row[name]) for name in faults) or NO_FAULT
-        in_use = bool(faults) and all(name.startswith("deployment.") for name in faults)
+        deployed = bool(faults) and all(name.startswith("deployment.") for name in faults)
         lean = f"{LEANS[faults[0]]}_{row[faults[0]]:g}" if len(faults) == 1 and faults[0] in LEANS else None
-        case = f"{title}, {CHANGE_TIMES[True]}" if in_use else title
-        named.append({**row, "fault": title, "in": CHANGE_TIMES[in_use], "case": case, "lean": lean})
+        case = f"{title}, {CHANGE_TIMES[True]}" if deployed else title
+        named.append({**row, "fault": title, "in": CHANGE_TIMES[deployed], "case": case, "lean": lean})
     named.sort(key=lambda row: row["in"] == CHANGE_TIMES[True])
     return add_base(named, {"fault": NO_FAULT}, ["method"])
 
@@ -102,7 +102,7 @@ def name_changes(rows: Sequence[Row], varied: Sequence[str]) -> list[Row]:
 
 
 def list_drives(rows: Sequence[Row], varied: Sequence[str]) -> list[Row]:
-    """A row for each drive in use, and one for each cause of its images, from the column of drives."""
+    """A row for each deployment drive, and one for each cause of its images, from the column of drives."""
     from deepgps.tracking.causes import TITLES as CAUSES  # here, since it needs torch
 
     drives = []
@@ -131,10 +131,10 @@ def list_drives(rows: Sequence[Row], varied: Sequence[str]) -> list[Row]:
 def _list_targets_of_camera() -> list[Target]:
     ours, compass = {"method": "deepgps"}, {"method": "deepgps_compass", "lean": lambda lean: lean is not None}
     targets = [Target("clean_rms_m", "RMS without faults", "rms_m", {**ours, "fault": NO_FAULT})]
-    for key, in_use in (("both", False), ("deployment", True)):
-        faulty = {**ours, "in": CHANGE_TIMES[in_use], "fault": lambda fault: fault != NO_FAULT}
+    for key, deployed in (("both", False), ("deployment", True)):
+        faulty = {**ours, "in": CHANGE_TIMES[deployed], "fault": lambda fault: fault != NO_FAULT}
         for of, word in (("rms_m", "RMS"), ("median_m", "median")):
-            title = f"{word} / without faults, worst fault in {CHANGE_TIMES[in_use]}"
+            title = f"{word} / without faults, worst fault in {CHANGE_TIMES[deployed]}"
             targets.append(Target(f"{key}_{word.lower()}_ratio", title, f"{of}/base", faulty, each="fault"))
     title = "{label}: median / without faults, {fault}"
     return [*targets, Target("compass_{lean}_ratio", title, "median_m/base", compass, each="fault", per="lean")]

@@ -1,7 +1,7 @@
 """The drives of the report "knowing": those of runs, those that are derived from them, and what is said of each.
 
-Images of the drive in use are spoilt, a drive in another room takes its place, and the method is trained without a part
-of the map.
+Images of the deployment drive are spoilt, a drive in another room takes its place, and the method is trained without a
+part of the map.
 """
 
 import json
@@ -18,7 +18,7 @@ from matplotlib.patches import Rectangle
 
 from deepgps.config.methods import METHODS, folder_of, title_of
 from deepgps.data.segments import find_runs
-from deepgps.evaluation.in_use import open_drive_in_use
+from deepgps.evaluation.deployment import open_deployment
 from deepgps.methods.fit import fit_method
 from deepgps.methods.train import training_seed
 from deepgps.positioner.stored_positioner import load_positioner
@@ -62,12 +62,12 @@ SPOILS: Mapping[str, Spoil] = {
 
 
 def add_drives(run: Path, row: Row) -> Row:
-    """The drives in use of a run as JSON in one column: its own, and those derived from it if nothing has changed."""
+    """Deployment drives of a run as JSON in one column: its own, and those derived from it if nothing has changed."""
     use = read_metrics(run)["methods"][row["method"]].get("in_use", {})
     if "causes" not in use:
         raise InputError(
-            f"{run}: the report knowing needs a drive in use, and methods that refuse images and name causes, which "
-            f"{title_of(row['method'])} does not"
+            f"{run}: the report knowing needs a deployment drive, and methods that refuse images and name causes, "
+            f"which {title_of(row['method'])} does not"
         )
     expected = find_expected(row)
     own = make_drive("", expected, use["accepted"], use["causes"], measure_use(run, row))
@@ -78,7 +78,7 @@ def add_drives(run: Path, row: Row) -> Row:
 def make_drive(
     fault: str, expected: str, accepted: float, causes: Mapping[str, Any], figures: Mapping[str, float | None]
 ) -> dict[str, Any]:
-    """What is said of one drive in use, as the table keeps it.
+    """What is said of one deployment drive, as the table keeps it.
 
     Args:
         fault: What is wrong with it, in words; empty: what the run's settings change.
@@ -100,7 +100,7 @@ def find_expected(row: Row) -> str:
 
 
 def measure_use(run: Path, row: Row) -> dict[str, float | None]:
-    """What radii hold on the grid and in use, and the share of the errors in use above 10 cm that is refused."""
+    """What radii hold on the grid and in deployment, and the share of errors above 10 cm there that is refused."""
     method, arrays = row["method"], read_arrays(run / "use_field.npz")
     use = read_metrics(run)["methods"][method]["in_use"]
     large = np.linalg.norm(arrays[method] - arrays["truth"][:, None], axis=-1) > LARGE_ERROR_M
@@ -118,7 +118,7 @@ def measure_use(run: Path, row: Row) -> dict[str, float | None]:
 def derive_drives(run: Path, method: str) -> Iterator[dict[str, Any]]:
     """Drives that are made from a run's own, or from those of other rooms, and what is said of them."""
     recording = open_recording(run / "recording")
-    drive, monitor = open_drive_in_use(recording), make_monitor(load_positioner(folder_of(run, method)), recording)
+    drive, monitor = open_deployment(recording), make_monitor(load_positioner(folder_of(run, method)), recording)
     if drive is None or monitor is None:
         return
     for cause, spoil in SPOILS.items():
@@ -138,11 +138,11 @@ def derive_drives(run: Path, method: str) -> Iterator[dict[str, Any]]:
 
 
 def find_other_rooms(run: Path, recording: Recording) -> Iterator[Recording]:
-    """The drive in use of the first other recording of the study that is of another room."""
+    """The deployment drive of the first other recording of the study that is of another room."""
     room = recording.manifest.settings["room"]
     for folder in sorted((run.parent.parent / "recordings").glob("*/manifest.json")):
         other = open_recording(folder.parent)
-        if other.manifest.settings["room"] != room and (drive := open_drive_in_use(other)) is not None:
+        if other.manifest.settings["room"] != room and (drive := open_deployment(other)) is not None:
             yield drive
             return
 

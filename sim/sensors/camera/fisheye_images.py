@@ -1,4 +1,4 @@
-"""The fisheye camera as a sensor: images of the robot's states, with what is different in use.
+"""The fisheye camera as a sensor: images of the robot's states, with what is different in deployment.
 
 A person, and a lamp that was switched on, are drawn only; physics knows neither of them.
 """
@@ -111,7 +111,7 @@ def _draw_person(place: np.ndarray, rng: np.random.Generator) -> list[Shape]:
 
 NEW_LAMP = "new lamp"
 Relight = Callable[[np.ndarray, mujoco.MjData, np.ndarray | None, Dress], np.ndarray]
-"""(linear light of an image, state, lean of the camera, what is added to the scene) -> its light in use."""
+"""(linear light of an image, state, lean of the camera, what is added to the scene) -> its light in deployment."""
 
 
 def open_fisheye(settings: SimSettings, scene: Callable[[], mujoco.MjModel]) -> Opened:
@@ -140,7 +140,7 @@ def open_fisheye(settings: SimSettings, scene: Callable[[], mujoco.MjModel]) -> 
 
 
 def _build_empty(settings: SimSettings) -> mujoco.MjModel:
-    """The room as it is in use, without the robot and the place where it starts, at which a person may not fit."""
+    """The room as it is in deployment, without the robot and the place where it starts, where a person may not fit."""
     room = change_room(build_room(settings.room), settings.deployment)
     if (start := room.site(START)) is not None:
         room.delete(start)

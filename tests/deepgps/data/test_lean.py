@@ -1,4 +1,4 @@
-"""The lean that a recording's turns show is the camera's, in training and in use, and images are set upright by it."""
+"""The lean that turns show is the camera's, in training and deployment, and images are set upright by it."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -17,8 +17,8 @@ from deepgps.data.turns import (
     ignore_small,
     measure_turns,
 )
+from deepgps.evaluation.deployment import adapt, measure_deployment
 from deepgps.evaluation.evaluate import predict
-from deepgps.evaluation.in_use import adapt, measure_in_use
 from deepgps.learning.training_data import prepare
 from deepgps.methods.fit import fit_method
 from deepgps.positioner.positioner import NetworkPositioner, Positioner
@@ -49,7 +49,7 @@ TRAINING_LEAN, KNOCK = (6.0, -3.0), (9.0, -3.0)
 
 @pytest.fixture(scope="module")
 def leaning(small_settings: SimSettings, tmp_path_factory: pytest.TempPathFactory) -> Recording:
-    """A recording of a camera that leans, and leans more in use."""
+    """A recording of a camera that leans, and leans more in deployment."""
     changes = {
         "camera": CAMERA,
         "drive": DriveSettings(samples=200),
@@ -69,18 +69,18 @@ def set_lean(lean: np.ndarray | tuple[float, float]) -> Upright:
 
 
 @pytest.fixture(scope="module")
-def drive_in_use(leaning: Recording) -> Recording:
+def deployment(leaning: Recording) -> Recording:
     return open_recording(leaning.folder / "use")
 
 
 @pytest.mark.slow
-def test_the_lean_of_training_and_that_in_use_are_found(leaning: Recording, drive_in_use: Recording):
+def test_the_lean_of_training_and_that_in_deployment_are_found(leaning: Recording, deployment: Recording):
     upright = measure_turns(leaning).upright
     assert upright is not None and ignore_small(upright) == upright
     np.testing.assert_allclose(np.degrees(upright.lean), TRAINING_LEAN, atol=0.3)
-    adapted, in_use = adapt_upright(upright, drive_in_use)
-    assert in_use is not None and adapted.lean == in_use
-    np.testing.assert_allclose(np.degrees(in_use), KNOCK, atol=0.6)
+    adapted, deployed_lean = adapt_upright(upright, deployment)
+    assert deployed_lean is not None and adapted.lean == deployed_lean
+    np.testing.assert_allclose(np.degrees(deployed_lean), KNOCK, atol=0.6)
 
 
 @pytest.mark.slow
@@ -110,11 +110,11 @@ def test_a_camera_that_was_not_knocked_keeps_the_correction_of_training(
     monkeypatch.setattr("deepgps.data.turns.compare_images", lambda *_: seen)
     for off_deg, kept in ((0.05, True), (0.2, False)):
         upright = set_lean(lean + np.radians([off_deg, 0.0]))
-        adapted, in_use = adapt_upright(upright, drive)
-        assert in_use == seen.upright.lean and adapted == (upright if kept else seen.upright)
+        adapted, deployed_lean = adapt_upright(upright, drive)
+        assert deployed_lean == seen.upright.lean and adapted == (upright if kept else seen.upright)
 
 
-def test_too_few_turns_in_use_leave_the_lean_of_training(small_recording: Path):
+def test_too_few_turns_in_deployment_leave_the_lean_of_training(small_recording: Path):
     upright, drive = set_lean(np.radians(TRAINING_LEAN)), open_recording(small_recording)
     turns = drive.turns
     assert turns is not None
@@ -124,8 +124,8 @@ def test_too_few_turns_in_use_leave_the_lean_of_training(small_recording: Path):
 
 
 @pytest.mark.slow
-def test_a_positioner_sets_raw_images_upright_as_in_training_and_in_use_by_the_lean_there(
-    leaning: Recording, drive_in_use: Recording, tmp_path: Path
+def test_a_positioner_sets_raw_images_upright_as_in_training_and_in_deployment_by_the_lean_there(
+    leaning: Recording, deployment: Recording, tmp_path: Path
 ):
     learn = {**QUICK, "train": {**QUICK["train"], "steps": 20}}
     settings, folder = LearnSettings.model_validate(learn), tmp_path / "deepgps_compass"
@@ -138,16 +138,16 @@ def test_a_positioner_sets_raw_images_upright_as_in_training_and_in_use_by_the_l
     upright = replace(positioner, upright=None)(positioner.upright(images))
     np.testing.assert_array_equal(positioner(images), upright)
     assert not np.allclose(replace(positioner, upright=None)(images), upright, atol=1e-3)
-    adapted, lean = adapt(positioner, drive_in_use)
+    adapted, lean = adapt(positioner, deployment)
     assert lean["lean_roll_deg"] == pytest.approx(KNOCK[0], abs=0.6)
     assert isinstance(adapted, NetworkPositioner) and adapted.upright != positioner.upright
-    knocked = predict(folder, leaning, drive_in_use).poses.position
+    knocked = predict(folder, leaning, deployment).poses.position
     cells, headings = leaning.test_observation.shape[:2]
     test = np.asarray(leaning.test_observation).reshape(cells * headings, *images.shape[1:])
     np.testing.assert_array_equal(knocked.reshape(-1, 2), adapted(test))
 
 
-def test_errors_in_use_are_those_of_the_positions_there(small_recording: Path, tmp_path: Path):
+def test_errors_in_deployment_are_those_of_the_positions_there(small_recording: Path, tmp_path: Path):
     drive = open_recording(small_recording)
     place = open_truth(drive.folder).pose[:, :2]
     turned = Alignment(rotation=np.array([[0.0, -1.0], [1.0, 0.0]]), translation=np.array([1.0, 2.0]), scale=1.0)
@@ -158,6 +158,6 @@ def test_errors_in_use_are_those_of_the_positions_there(small_recording: Path, t
         assert len(observations) == len(own)
         return own
 
-    found = measure_in_use(cast(Positioner, know), turned, drive, tmp_path)
+    found = measure_deployment(cast(Positioner, know), turned, drive, tmp_path)
     assert found.truth.shape == (len(own), 2) and found.predicted.shape == (len(own), 1, 2)
     np.testing.assert_allclose(found.worst, [0.5, *np.zeros(len(own) - 1)], atol=1e-9)

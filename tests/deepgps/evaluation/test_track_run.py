@@ -1,4 +1,4 @@
-"""``deepgps track`` on a small run with a drive in use: what it writes, what it says, and what it refuses."""
+"""``deepgps track`` on a small run with a deployment drive: what it writes, what it says, and what it refuses."""
 
 import re
 import shutil
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from deepgps.api.run import load
-from deepgps.evaluation.in_use import open_drive_in_use
+from deepgps.evaluation.deployment import open_deployment
 from deepgps.evaluation.measure_run import read_measured
 from deepgps.evaluation.stored_alignment import read_alignment
 from deepgps.runs.owned_folder import hold
@@ -40,7 +40,7 @@ def test_files_and_figures_belong_together(run: Path):
         read_track(run / "tracking" / "deepgps_compass.npz"),
         read_json(run / "tracking/deepgps_compass.json"),
     )
-    drive = open_drive_in_use(open_recording(run / "recording"))
+    drive = open_deployment(open_recording(run / "recording"))
     assert drive is not None
     true, alignment = open_truth(drive.folder).pose, read_alignment(run / "deepgps_compass")
     seen = track.observation != NO_IMAGE
@@ -58,7 +58,7 @@ def test_what_is_said_names_every_path_and_the_causes_of_refused_images(run: Pat
     said, causes = (run.parent / "said.txt").read_text(), read_json(run / "tracking/deepgps_compass.json")["causes"]
     assert all(title in said for title in PATHS.values())
     assert "DeepGPS, compass: 60 of 60 images tracked" in said
-    assert f"The drive in use: {100 * causes['accepted']:.1f} % of images accepted" in said
+    assert f"The deployment drive: {100 * causes['accepted']:.1f} % of images accepted" in said
     assert causes == read_json(run / "metrics.json")["methods"]["deepgps_compass"]["in_use"]["causes"]
     found = load(run).causes("deepgps_compass", run / "recording" / "use")
     assert found is not None and found.summarise() == causes and len(found.label) == 60

@@ -73,7 +73,7 @@ def see_the_same(arrays: Arrays) -> None:
     arrays["observations/landmarks.npy"][:] = arrays["observations/landmarks.npy"][0]
 
 
-def see_nothing_in_use(arrays: Arrays) -> None:
+def see_nothing_in_deployment(arrays: Arrays) -> None:
     arrays["test/landmarks.npy"][:] = 0
 
 
@@ -152,7 +152,7 @@ CASES = [
     (read_each_segment_once, "no segment has two readings"),
     (see_nothing, ALIKE_MESSAGE),
     (see_the_same, ALIKE_MESSAGE),
-    (see_nothing_in_use, ""),
+    (see_nothing_in_deployment, ""),
     (see_nothing_half_of_the_time, ""),
     (see_two, ""),
     (see("observations/landmarks.npy", np.nan), "observations/landmarks.npy: 1 of 74 observations hold NaN"),

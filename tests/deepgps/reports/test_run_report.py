@@ -105,7 +105,7 @@ def test_what_is_printed_fits_eighty_columns_and_keeps_its_units(tmp_path: Path,
         accept_some(values)
         values["in_use"] = {"rms_m": 0.05, "median_m": 0.02}
     text = print_at_80(tmp_path, metrics)
-    assert "[cm]" in text and "in use [cm]:" in text.replace("\n", " ").replace("  ", " ")
+    assert "[cm]" in text and "in deployment [cm]:" in text.replace("\n", " ").replace("  ", " ")
     assert "…" not in text and "my [/x]" in text, "brackets in the name of a method are no markup"
     assert "0.82 %" in text
 
@@ -118,9 +118,9 @@ def test_a_folder_that_is_no_run_is_refused(tmp_path: Path) -> None:
             read_metrics(tmp_path)
 
 
-def test_the_lean_of_the_camera_and_the_drive_in_use_are_reported(metrics: dict) -> None:
+def test_the_lean_of_the_camera_and_the_deployment_drive_are_reported(metrics: dict) -> None:
     before = describe(metrics)
-    assert not any("leans" in sentence or "in use" in sentence for sentence in before)
+    assert not any("leans" in sentence or "in deployment" in sentence for sentence in before)
     metrics["in_use"] = {"samples": 40}
     metrics["methods"]["mine"] |= {"lean_roll_deg": 0.02, "lean_pitch_deg": 0.0}
     metrics["methods"]["mine"]["in_use"] = {"rms_m": 0.05, "median_m": 0.02}
@@ -129,8 +129,8 @@ def test_the_lean_of_the_camera_and_the_drive_in_use_are_reported(metrics: dict)
     after = describe(metrics)
     assert [sentence for sentence in after if sentence not in before] == [
         "By its turns, the camera leans 0.02° to the right and 0.00° forward in training, 2.00° to the right and "
-        "-0.10° forward in use.",
-        "RMS (median) on the 40 images of the drive in use [cm]: mine 5.0 (2.0).",
+        "-0.10° forward in deployment.",
+        "RMS (median) on the 40 images of the deployment drive [cm]: mine 5.0 (2.0).",
     ]
 
 
@@ -164,6 +164,6 @@ def test_what_is_accepted_and_what_a_map_expects_are_told(metrics: dict) -> None
         "Accepted images (places): DeepGPS 98.1 % (99.4 %); mine 98.1 % (99.4 %).",
         "Accepted images within their 68 % radius (95 %): DeepGPS 66 % (94 %); mine 66 % (94 %).",
         "RMS error of 0.28 cm",
-        "in use [cm]: mine 5.0 (2.0), of the 98.1 % accepted 1.1 (1.1).",
+        "in deployment [cm]: mine 5.0 (2.0), of the 98.1 % accepted 1.1 (1.1).",
     ):
         assert part in " ".join(said)

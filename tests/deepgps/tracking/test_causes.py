@@ -12,7 +12,7 @@ from deepgps.tracking.causes import FAULTY_CAUSES, TITLES, WINDOW, Causes, Monit
 from sim.recording.format import Recording, open_recording
 from tests.helpers.drawn_room import HIGH_CORNER, MOVED_PILLARS, Room, drive, train
 
-SEGMENTS, IN_USE = 90, 24
+SEGMENTS, IMAGES = 90, 24
 Drawn = tuple[Monitor, Recording]
 
 
@@ -23,11 +23,11 @@ def like(small_recording: Path) -> Recording:
 
 @pytest.fixture(scope="module", params=["ranks", pytest.param("pixels", marks=pytest.mark.slow)])
 def drawn(request: pytest.FixtureRequest, like: Recording) -> Drawn:
-    """A monitor in the drawn room, and a clean drive in use."""
+    """A monitor in the drawn room, and a clean deployment drive."""
     recording = drive(like, Room(), SEGMENTS, 1)
     monitor = make_monitor(train(recording, request.param), recording)
     assert monitor is not None
-    return monitor, drive(like, Room(), IN_USE, 2)
+    return monitor, drive(like, Room(), IMAGES, 2)
 
 
 def see(drive: Recording, change) -> Recording:
@@ -64,21 +64,21 @@ def test_changed_images_are_named(drawn: Drawn):
 
 
 def test_moved_furniture_is_named(drawn: Drawn, like: Recording):
-    found = drawn[0].name(drive(like, Room(pillars=MOVED_PILLARS), IN_USE, 2))
+    found = drawn[0].name(drive(like, Room(pillars=MOVED_PILLARS), IMAGES, 2))
     assert found.named[0] == "furniture"
     refused = found.label[~found.accepted]
     assert (refused == "furniture").mean() > 0.8
 
 
 def test_another_room_is_named(drawn: Drawn, like: Recording):
-    found = drawn[0].name(drive(like, Room(seed=9), IN_USE, 2))
+    found = drawn[0].name(drive(like, Room(seed=9), IMAGES, 2))
     assert found.named == ["other_room"]
     assert not found.accepted.any()
 
 
 def test_places_that_were_not_driven_are_named(like: Recording):
     recording = drive(like, Room(), SEGMENTS, 1, high=np.array([1.5, HIGH_CORNER[1]]))
-    use = drive(like, Room(), IN_USE, 2)
+    use = drive(like, Room(), IMAGES, 2)
     found = name_causes(train(recording, "ranks"), recording, use)
     assert found is not None
     far = use.others["place"][:, 0] > 1.8
@@ -88,7 +88,7 @@ def test_places_that_were_not_driven_are_named(like: Recording):
 
 
 def test_a_knocked_camera_is_named_by_the_turns(drawn: Drawn, like: Recording):
-    found = drawn[0].name(drive(like, Room(), IN_USE, 2, lean=(np.radians(4.0), 0.0)))
+    found = drawn[0].name(drive(like, Room(), IMAGES, 2, lean=(np.radians(4.0), 0.0)))
     assert found.named[0] == "camera"
     assert found.lean_deg == pytest.approx(4.0, abs=0.5)
     assert (found.label[~found.accepted] == "camera").mean() > 0.8
@@ -115,7 +115,7 @@ def test_headings_of_the_robot_change_nothing(drawn: Drawn):
 @pytest.mark.parametrize("images", [80, pytest.param(10_000, marks=pytest.mark.slow)])
 def test_causes_of_images_as_they_come_are_those_of_the_drive(drawn: Drawn, like: Recording, images: int):
     monitor, clean = drawn
-    moved = drive(like, Room(pillars=MOVED_PILLARS), IN_USE, 2)
+    moved = drive(like, Room(pillars=MOVED_PILLARS), IMAGES, 2)
     for use in (moved, see(clean, FAULTS["light"])) if images == 80 else (clean, moved, see(clean, FAULTS["covered"])):
         known, watch = monitor.name(use), Watch(monitor)
         novelty = find_poses(monitor.positioner, use.observation[:images]).novelty
@@ -127,7 +127,7 @@ def test_causes_of_images_as_they_come_are_those_of_the_drive(drawn: Drawn, like
 @pytest.mark.slow
 def test_another_room_is_told_once_many_images_have_come(drawn: Drawn, like: Recording):
     watch = Watch(drawn[0])
-    found = [watch.step(image, np.inf) for image in drive(like, Room(seed=9), IN_USE, 2).observation[: WINDOW + 5]]
+    found = [watch.step(image, np.inf) for image in drive(like, Room(seed=9), IMAGES, 2).observation[: WINDOW + 5]]
     assert "other_room" not in found[: WINDOW - 1]
     assert found.count("new_place") > 0.9 * WINDOW
     assert set(found[WINDOW:]) == {"other_room"}

@@ -299,7 +299,7 @@ def test_the_grid_has_all_that_can_be_reached_up_to_the_last_row(small_settings)
             assert pose[..., axis].max() == pytest.approx(0.08 * np.floor(high / 0.08 + 1e-9))
 
 
-@pytest.mark.slow  # quick: test_use, whose drive in use and tests are darkened
+@pytest.mark.slow  # quick: test_use, whose deployment drive and tests are darkened
 def test_what_changes_between_training_and_use_leaves_training_as_it_was(small_settings, tmp_path):
     plain = change(small_settings, drive={"samples": 30}, grid={"spacing_m": 0.15, "headings": 1})
     settings = change(plain, deployment={"light": 0.5, "moved_m": 0.5})

@@ -41,7 +41,7 @@ def base(plain: SimSettings, tmp_path_factory: pytest.TempPathFactory) -> Path:
         {"grid": {"spacing_m": 0.6, "headings": 2}},
         pytest.param({"deployment": {"drive_samples": 16, "camera_mount": {"roll_deg": 4.0}}}, marks=pytest.mark.slow),
     ],
-    ids=["light and furniture", "grid", "drive in use"],
+    ids=["light and furniture", "grid", "deployment drive"],
 )
 def test_the_shared_drive_has_the_bytes_of_one_of_its_own(groups, plain, base, tmp_path, monkeypatch):
     settings = change(plain, **groups)
@@ -50,7 +50,7 @@ def test_the_shared_drive_has_the_bytes_of_one_of_its_own(groups, plain, base, t
     driven, drive_chunk = [], collecting.drive_chunk
     monkeypatch.setattr(collecting, "drive_chunk", lambda *args: driven.append(args[1]) or drive_chunk(*args))
     collect(settings, 0, tmp_path / "shared", quiet, workers=1, base=base)
-    assert not any(one.drive.samples == 20 for one in driven), "only the drive in use is driven"
+    assert not any(one.drive.samples == 20 for one in driven), "only the deployment drive is driven"
     check_recording(tmp_path / "shared")
     assert read_files(tmp_path / "shared") == read_files(tmp_path / "alone")
     assert read_what_must_agree(tmp_path / "shared") == read_what_must_agree(tmp_path / "alone")

@@ -1,4 +1,4 @@
-"""The drive in use: a recording of its own inside that of the training drive, which stays as it was; changing light."""
+"""The deployment drive: a recording of its own inside the training drive's, which stays as it was; changing light."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -21,11 +21,11 @@ from sim.recording.format import (
     remove_recording,
     work_folder,
 )
-from sim.recording.manifest import LIGHT_STATES, choose_drive_in_use, light_part, seed_in_use
+from sim.recording.manifest import LIGHT_STATES, choose_deployment, light_part, seed_deployment
 from sim.settings import CameraMountSettings, DeploymentSettings, DriveSettings, GridSettings, SimSettings
 from tests.helpers.recordings import change, quiet, read_files, read_what_must_agree, small_chunks
 
-SAMPLES, IN_USE = 26, 20
+SAMPLES, DRIVE_SAMPLES = 26, 20
 IMAGES = {"test/fisheye.npy", "use/observations/fisheye.npy", "use/observations/fisheye_turn.npy"}
 Sound = tuple[SimSettings, Path]
 
@@ -48,15 +48,15 @@ def plain(small_settings: SimSettings) -> SimSettings:
 
 @pytest.fixture(scope="module")
 def sound(plain: SimSettings, tmp_path_factory: pytest.TempPathFactory) -> Sound:
-    """Settings and recording with a drive in use and no change between training and use."""
-    settings = change(plain, deployment={"drive_samples": IN_USE})
+    """Settings and recording with a deployment drive and no change between training and deployment."""
+    settings = change(plain, deployment={"drive_samples": DRIVE_SAMPLES})
     folder = tmp_path_factory.mktemp("sound") / "recording"
     collect(settings, 0, folder, quiet, workers=1)
     return settings, folder
 
 
-@pytest.mark.slow  # quick: derived without a drive in use
-def test_the_training_drive_is_the_same_with_and_without_a_drive_in_use(plain, sound, tmp_path):
+@pytest.mark.slow  # quick: derived without a deployment drive
+def test_the_training_drive_is_the_same_with_and_without_a_deployment_drive(plain, sound, tmp_path):
     stages = dict.fromkeys(["drive", "render"])
     collect(plain, 0, tmp_path / "plain", lambda stage, *_: stages.pop(stage, None), workers=1)
     assert stages == {}
@@ -64,29 +64,31 @@ def test_the_training_drive_is_the_same_with_and_without_a_drive_in_use(plain, s
     assert not is_whole(tmp_path / "plain" / "use")
 
 
-def test_the_drive_in_use_is_a_recording_of_its_own(sound):
+def test_the_deployment_drive_is_a_recording_of_its_own(sound):
     settings, folder = sound
     check_recording(folder)
     assert is_whole(folder) and not work_folder(folder).exists() and not (folder / "use.collecting").exists()
     recording, truth = open_recording(folder / "use"), open_truth(folder / "use")
-    assert recording.observation.shape == (IN_USE, 8, 32, 3)
+    assert recording.observation.shape == (DRIVE_SAMPLES, 8, 32, 3)
     assert recording.test_observation.shape == (0, 1, 8, 32, 3) and truth.test_pose.shape == (0, 1, 3)
     assert recording.turn_observation is not None and len(recording.turn_observation) > 0
-    assert set(recording.reading[:, 1]) == set(range(IN_USE))
+    assert set(recording.reading[:, 1]) == set(range(DRIVE_SAMPLES))
     assert truth.free_space.is_free(truth.pose[:, :2]).all()
     manifest = recording.manifest
-    assert manifest.settings == choose_drive_in_use(settings).model_dump(mode="json")
-    assert manifest.seed == seed_in_use(0) != seed_in_use(1)
+    assert manifest.settings == choose_deployment(settings).model_dump(mode="json")
+    assert manifest.seed == seed_deployment(0) != seed_deployment(1)
     outer = read_manifest(folder).sha256
     assert [name for name in outer if name.startswith("use/")] == [DEPLOYMENT_MANIFEST]
     driven = open_truth(folder).pose
-    assert not np.isclose(truth.pose[:IN_USE, 2], driven[:IN_USE, 2]).any(), "its headings are drawn from other streams"
+    assert not np.isclose(truth.pose[:DRIVE_SAMPLES, 2], driven[:DRIVE_SAMPLES, 2]).any(), (
+        "its headings are drawn from other streams"
+    )
 
 
 def test_it_is_the_recording_that_its_own_settings_and_seed_make(sound, tmp_path):
     """Nothing but settings and seed determines it, as long as the room is that of training."""
     settings, folder = sound
-    collect(choose_drive_in_use(settings), seed_in_use(0), tmp_path / "own", quiet, workers=1)
+    collect(choose_deployment(settings), seed_deployment(0), tmp_path / "own", quiet, workers=1)
     alone, inner = read_files(tmp_path / "own"), read_files(folder / "use")
     assert {name for name in alone if alone[name] != inner[name]} == {"test/fisheye.npy", "truth/test_pose.npy"}
 
@@ -101,8 +103,8 @@ def test_damage_in_it_is_found(sound, tmp_path):
         check_recording(tmp_path / "copy")
 
 
-def test_less_light_and_a_lean_in_use_change_its_images_and_no_training_image(plain, sound, tmp_path):
-    changes = {"drive_samples": IN_USE, "light": 0.2, "camera_mount": {"roll_deg": 5.0}}
+def test_less_light_and_a_lean_in_deployment_change_its_images_and_no_training_image(plain, sound, tmp_path):
+    changes = {"drive_samples": DRIVE_SAMPLES, "light": 0.2, "camera_mount": {"roll_deg": 5.0}}
     collect(change(plain, deployment=changes), 0, tmp_path / "dark", quiet, workers=1)
     dark, light = read_files(tmp_path / "dark"), read_files(sound[1])
     differ = {name for name in light if dark[name] != light[name]}
@@ -113,8 +115,8 @@ def test_less_light_and_a_lean_in_use_change_its_images_and_no_training_image(pl
 
 
 @pytest.mark.slow  # quick: the same with less light
-def test_a_camera_that_leans_in_use_leans_in_tests_and_in_the_drive_in_use_alone(plain, sound, tmp_path):
-    settings = change(plain, deployment={"drive_samples": IN_USE, "camera_mount": {"roll_deg": 5.0}})
+def test_a_camera_that_leans_in_deployment_leans_in_tests_and_in_the_deployment_drive_alone(plain, sound, tmp_path):
+    settings = change(plain, deployment={"drive_samples": DRIVE_SAMPLES, "camera_mount": {"roll_deg": 5.0}})
     collect(settings, 0, tmp_path / "leaning", quiet, workers=1)
     leaning, level = read_files(tmp_path / "leaning"), read_files(sound[1])
     assert {name for name in level if leaning[name] != level[name]} == IMAGES
@@ -122,22 +124,24 @@ def test_a_camera_that_leans_in_use_leans_in_tests_and_in_the_drive_in_use_alone
 
 def test_what_the_mount_leaves_open_is_as_in_training(plain):
     changes = {"camera_mount": {"pitch_deg": 0.0}, "light": 0.5, "drive_samples": 20}
-    used = choose_drive_in_use(change(plain, camera_mount={"roll_deg": 1.0, "pitch_deg": 2.0}, deployment=changes))
+    used = choose_deployment(change(plain, camera_mount={"roll_deg": 1.0, "pitch_deg": 2.0}, deployment=changes))
     assert used.camera_mount == CameraMountSettings(roll_deg=1.0, pitch_deg=0.0)
     assert used.deployment == DeploymentSettings(light=0.5)
     assert used.drive.samples == 20
 
 
 @pytest.mark.parametrize(
-    ("samples", "in_use"), [(17, 18), pytest.param(SAMPLES, IN_USE, marks=pytest.mark.slow)], ids=["shorter", "whole"]
+    ("samples", "deployed"),
+    [(17, 18), pytest.param(SAMPLES, DRIVE_SAMPLES, marks=pytest.mark.slow)],
+    ids=["shorter", "whole"],
 )
-def test_derived_is_as_collected(samples: int, in_use: int, sound, tmp_path):
+def test_derived_is_as_collected(samples: int, deployed: int, sound, tmp_path):
     settings = change(
         sound[0],
         drive={"samples": samples},
         encoder={"ticks_per_rev": 128, "step_noise": 0.1, "dropout": 0.2},
         image_faults={"exposure": 0.5, "read_noise": 0.1},
-        deployment={"drive_samples": in_use},
+        deployment={"drive_samples": deployed},
     )
     collect(settings, 0, tmp_path / "collected", quiet, workers=1)
     derive(sound[1], settings, 0, tmp_path / "derived")
@@ -151,28 +155,28 @@ def test_derived_is_as_collected(samples: int, in_use: int, sound, tmp_path):
     assert (inner.model_extra or {})["derived_from"] == sound[1].parent.name
 
 
-def test_without_a_drive_in_use_none_is_derived(plain, sound, tmp_path):
+def test_without_a_deployment_drive_none_is_derived(plain, sound, tmp_path):
     derive(sound[1], plain, 0, tmp_path / "derived")
     assert read_files(tmp_path / "derived") == leave_out_use(read_files(sound[1]))
     assert DEPLOYMENT_MANIFEST not in read_manifest(tmp_path / "derived").sha256
-    with pytest.raises(InputError, match=r"has no drive in use, and deployment\.drive_samples is 20"):
+    with pytest.raises(InputError, match=r"has no deployment drive, and deployment\.drive_samples is 20"):
         derive(tmp_path / "derived", sound[0], 0, tmp_path / "again")
 
 
 def test_what_does_not_fit_is_no_base(plain, sound):
     another = "is a recording of another drive"
     for deployment, message in (
-        ({"drive_samples": 21}, "has a drive in use that has 20 samples, too few for deployment.drive_samples 21"),
-        ({"drive_samples": IN_USE, "light": 0.5}, another),
-        ({"drive_samples": IN_USE, "camera_mount": {"roll_deg": 1.0}}, another),
+        ({"drive_samples": 21}, "has a deployment drive that has 20 samples, too few for deployment.drive_samples 21"),
+        ({"drive_samples": DRIVE_SAMPLES, "light": 0.5}, another),
+        ({"drive_samples": DRIVE_SAMPLES, "camera_mount": {"roll_deg": 1.0}}, another),
     ):
         assert message in (explain_misfit(sound[1], change(plain, deployment=deployment), 0) or "")
 
 
 @pytest.mark.slow  # quick: test_collect's cut off
-@pytest.mark.parametrize("chunk", [2, 4], ids=["in use", "in training"])
+@pytest.mark.parametrize("chunk", [2, 4], ids=["in deployment", "in training"])
 def test_cut_off_anywhere_it_continues_to_the_same_bytes(chunk: int, sound, tmp_path, monkeypatch):
-    """Stopped before a second chunk: of the drive in use, or of the training drive."""
+    """Stopped before a second chunk: of the deployment drive, or of the training drive."""
     settings, folder = sound[0], tmp_path / "recording"
     drive_chunk, calls = collecting.drive_chunk, iter(range(1, 100))
 
@@ -197,7 +201,7 @@ def test_cut_off_anywhere_it_continues_to_the_same_bytes(chunk: int, sound, tmp_
     collect(settings, 0, folder, lambda stage, *_: stages.add(stage), workers=1)
     assert driven[0] == made, "what was made is kept"
     assert len(driven) == {2: 3, 4: 1}[chunk]
-    assert stages == {"drive", "render"} | ({"drive in use", "render in use"} if chunk == 2 else set())
+    assert stages == {"drive", "render"} | ({"drive in deployment", "render in deployment"} if chunk == 2 else set())
     assert read_files(folder) == read_files(sound[1])
     assert not work_folder(folder).exists()
 
@@ -214,7 +218,7 @@ def test_removing_takes_our_files_and_leaves_others(sound, tmp_path):
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == [theirs]
 
 
-def test_a_lidar_has_a_drive_in_use_beside_held_out_tests(plain, tmp_path):
+def test_a_lidar_has_a_deployment_drive_beside_held_out_tests(plain, tmp_path):
     settings = change(
         plain, sensor="lidar", drive={"samples": 16}, grid={"held_out": 5}, deployment={"drive_samples": 16}
     )
@@ -242,7 +246,7 @@ def test_light_takes_turns_in_a_room_with_a_camera(plain):
     mixed = change(plain, drive={"mixed_light": True})
     assert [light_part(mixed, number).deployment for number in range(6)] == [*LIGHT_STATES, *LIGHT_STATES[:2]]
     assert light_part(plain, 1) is plain
-    assert not choose_drive_in_use(mixed).drive.mixed_light
+    assert not choose_deployment(mixed).drive.mixed_light
     for settings, message in (
         ({"drive": {"mixed_light": True}}, r"drive\.mixed_light needs world room and sensor fisheye"),
         ({"deployment": {"person": True}}, "deployment changes what a camera sees"),

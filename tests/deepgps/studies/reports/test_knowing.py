@@ -67,7 +67,7 @@ def test_each_drive_has_a_line_with_what_is_refused_and_named_and_figures_count_
 @pytest.mark.parametrize("more", [{}, {"in_use": {"rms_m": 0.1, "median_m": 0.1}}])
 def test_methods_that_refuse_nothing_are_named(more: dict, tmp_path: Path):
     write_json(tmp_path / "metrics.json", {"methods": {"knn": {"rms_m": 0.1, **more}}})
-    with pytest.raises(InputError, match=r"knowing needs a drive in use.*which Nearest neighbour does not"):
+    with pytest.raises(InputError, match=r"knowing needs a deployment drive.*which Nearest neighbour does not"):
         add_drives(tmp_path, {"method": "knn"})
 
 

@@ -198,7 +198,7 @@ def make_fault(
 FAULTY_RUNS = [make_fault(0.04, light=0.5), make_fault(0.02), make_fault(0.03, exposure=0.25), make_fault(0.05, 0.25)]
 
 
-def test_each_fault_stands_beside_none_and_those_in_use_alone_come_last() -> None:
+def test_each_fault_stands_beside_none_and_those_in_deployment_alone_come_last() -> None:
     text, figures = report_rows("camera", FAULTY_RUNS, FAULTS)
     both, use = "training and deployment", "deployment only"
     assert [line[0] for line in read_cells(text)] == ["no fault", "exposure x 0.25", "all light x 0.5"]

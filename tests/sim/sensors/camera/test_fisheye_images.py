@@ -1,4 +1,4 @@
-"""Images in use: light of sources adds up, exposure takes none of their order, a person is only drawn."""
+"""Images in deployment: light of sources adds up, exposure takes none of their order, a person is only drawn."""
 
 from collections.abc import Callable
 from pathlib import Path

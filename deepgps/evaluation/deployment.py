@@ -1,4 +1,4 @@
-"""The drive in use: the camera's lean in it, for methods that correct it, errors on its images, and causes of these."""
+"""The deployment drive: its camera's lean, for methods that correct it, errors on its images, and causes of these."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -18,17 +18,17 @@ from sim.recording.format import DEPLOYMENT_MANIFEST, Recording, open_recording,
 from sim.recording.manifest import DEPLOYMENT_FOLDER
 
 
-def open_drive_in_use(recording: Recording) -> Recording | None:
-    """The recording of the drive in use; None if there is none."""
+def open_deployment(recording: Recording) -> Recording | None:
+    """The recording of the deployment drive; None if there is none."""
     if DEPLOYMENT_MANIFEST not in recording.manifest.sha256:
         return None
     return open_recording(recording.folder / DEPLOYMENT_FOLDER)
 
 
 def adapt(positioner: Positioner, drive: Recording | None) -> tuple[Positioner, dict[str, float]]:
-    """A positioner for images in use: its correction of the camera's lean is that of the drive in use, if it has one.
+    """A positioner for images in deployment, which corrects the camera's lean by the deployment drive if it has one.
 
-    Also returns the lean in use for ``metrics.json``, which only methods have that correct it.
+    Also returns the lean in deployment for ``metrics.json``, which only methods have that correct it.
     """
     if drive is None or not isinstance(positioner, FeaturePositioner) or positioner.upright is None:
         return positioner, {}
@@ -36,8 +36,8 @@ def adapt(positioner: Positioner, drive: Recording | None) -> tuple[Positioner, 
     return replace(positioner, upright=upright), {} if lean is None else describe_lean(lean)
 
 
-def measure_in_use(positioner: Positioner, alignment: Alignment, drive: Recording, folder: Path) -> ErrorField:
-    """Error field of a method on the images of the drive in use, each at a place of its own.
+def measure_deployment(positioner: Positioner, alignment: Alignment, drive: Recording, folder: Path) -> ErrorField:
+    """Error field of a method on the images of the deployment drive, each at a place of its own.
 
     Raises InputError if the drive's truth has another number of poses, WorkError if the method predicts no position;
     the folder is for messages.
@@ -45,7 +45,7 @@ def measure_in_use(positioner: Positioner, alignment: Alignment, drive: Recordin
     pose, found = open_truth(drive.folder).pose, find_poses(positioner, drive.observation)
     if len(pose) != len(found.position):
         raise InputError(f"{drive.folder}: it has {len(found.position)} observations, but the truth {len(pose)} poses")
-    check_predicted(folder, found.position, "observations in use")
+    check_predicted(folder, found.position, "observations in deployment")
     return make_field(found, pose[:, None], alignment)
 
 
@@ -56,6 +56,6 @@ def check_predicted(folder: Path, position: np.ndarray, what: str = "observation
 
 
 def find_causes(positioner: Positioner, recording: Recording, drive: Recording) -> dict[str, Any]:
-    """Why images of a drive in use are refused, as an entry of figures; nothing where ``name_causes`` knows nothing."""
+    """Why images of a deployment drive are refused, for the figures; nothing where ``name_causes`` knows nothing."""
     causes = name_causes(positioner, recording, drive)
     return {} if causes is None else {"causes": causes.summarise()}
