@@ -63,9 +63,9 @@ class Drawn:
         axes.add_collection(LineCollection(list(pairs), colors=colours, linewidths=0.7))
         axes.set(xlabel="", ylabel="", xticks=[], yticks=[])
 
-    def join(self, axes: Axes, points: np.ndarray, believed: np.ndarray, colour: str) -> None:
+    def join(self, axes: Axes, points: np.ndarray, inliers: np.ndarray, colour: str) -> None:
         """Draw loop closures."""
-        pairs = points[self.map.closure[believed]]
+        pairs = points[self.map.closure[inliers]]
         axes.add_collection(LineCollection(list(pairs), colors=colour, linewidths=0.6, alpha=0.6))
 
 
@@ -87,15 +87,15 @@ def draw_turns(drawn: Drawn) -> Figure:
 
 
 def draw_rounds(drawn: Drawn) -> Figure:
-    """The loop closures that are believed when about a third is, and at the last round."""
+    """The loop closures that are inliers when about a third is, and at the last round."""
     figure = Figure(figsize=(11, 3.9), layout="constrained")
     early = int(np.abs(drawn.map.stage_believed[:-1].mean(axis=1) - 1 / 3).argmin())
     for axes, stage in zip(figure.subplots(1, 2), (early, -1), strict=True):
         points, rms = drawn.place(stage)
-        believed = drawn.map.stage_believed[stage]
+        inliers = drawn.map.stage_believed[stage]
         drawn.trace(axes, points)
-        drawn.join(axes, points, believed, INLIER_COLOUR)
-        title = f"after round {drawn.map.stage[stage]}: {believed.sum():,} of {len(believed):,} believed, "
+        drawn.join(axes, points, inliers, INLIER_COLOUR)
+        title = f"after round {drawn.map.stage[stage]}: {inliers.sum():,} of {len(inliers):,} inliers, "
         axes.set_title(f"{title}{100 * rms:.1f} cm RMS", loc="left", fontsize=11)
     return figure
 
@@ -137,10 +137,10 @@ def draw_undecided(drawn: Drawn) -> Figure:
     figure = Figure(figsize=(11, 4.3), layout="constrained")
     grid = figure.subplots(1, 2)
     points, rms = drawn.place(-1)
-    believed = drawn.map.stage_believed[-1]
+    inliers = drawn.map.stage_believed[-1]
     for axes, chosen, colour, word in (
-        (grid[0], believed, INLIER_COLOUR, "believed"),
-        (grid[1], ~believed, OUTLIER_COLOUR, "refused"),
+        (grid[0], inliers, INLIER_COLOUR, "inliers"),
+        (grid[1], ~inliers, OUTLIER_COLOUR, "refused"),
     ):
         drawn.trace(axes, points)
         drawn.join(axes, points, chosen, colour)

@@ -101,7 +101,7 @@ def _check_ticks(gap: np.ndarray, seconds: np.ndarray, inside: np.ndarray, tick_
         row = int(speed_mps.argmax())
         raise InputError(
             f"readings, time: a wheel drives {speed_mps[row]:.3g} m/s before reading {row + 1}, but at most "
-            f"{MAX_SPEED_MPS:g} m/s is believed; ticks, times or the manifest's odometry are wrong"
+            f"{MAX_SPEED_MPS:g} m/s is plausible; ticks, times or the manifest's odometry are wrong"
         )
     turned = (gap[inside] != 0).sum(axis=0)
     for name, own, other in (("left", *turned), ("right", *turned[::-1])):

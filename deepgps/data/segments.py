@@ -70,7 +70,7 @@ GOLDEN_RATIO = (5.0**0.5 - 1.0) / 2.0
 HELD_OUT_SHARE, MIN_SEGMENTS = 0.04, 50
 """Share of the segments that no network learns from, since they show its errors; of few segments it learns from all."""
 MIN_DISTANCE_M = 0.001
-"""Shortest spacing or length that is believed [m]; coarse encoders, or those that stick, may count nothing."""
+"""Shortest plausible spacing or length [m]; coarse encoders, or those that stick, may count nothing."""
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ class StoredMap:
     stage: np.ndarray  # Rounds before each stage (k,); 0: as laid out along the compass headings
     stage_places: np.ndarray  # Positions at each stage (k, N, 2) float32 [m]
     stage_heading: np.ndarray  # Headings at each stage (k, N) float32 [rad]
-    stage_believed: np.ndarray  # Loop closures believed at each stage (k, n) bool
+    stage_believed: np.ndarray  # Inliers among the loop closures at each stage (k, n) bool
 
     @property
     def known(self) -> np.ndarray:
@@ -65,7 +65,7 @@ def write_map(folder: Path, found: CompassMap, segments: Segments, turns: Compas
         stage=np.array([stage.number for stage in found.stages]),
         stage_places=np.stack([stage.places for stage in found.stages]),
         stage_heading=np.stack([stage.heading for stage in found.stages]),
-        stage_believed=np.stack([stage.believed for stage in found.stages]),
+        stage_believed=np.stack([stage.inliers for stage in found.stages]),
     )
     write_arrays(folder / FILE, vars(stored))
 

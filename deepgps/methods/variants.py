@@ -161,7 +161,7 @@ def describe_map(found: CompassMap) -> dict[str, Any]:
         # Distance after which the world repeats [m]; None: it does not; 0: unknown
         "repeats_m": round(found.repeats_m, 2) if np.isfinite(found.repeats_m) else None,
         # Share of the loop closures that are inliers
-        "believed": round(float(found.believed.mean()), 4) if len(found.believed) else None,
+        "believed": round(float(found.inliers.mean()), 4) if len(found.inliers) else None,
         # Curvature of what the robot drives for straight, and its standard deviation [1/m]
         "curvature_per_m": curvature,
         "camera_ahead_m": ahead,  # The camera's place ahead of the axle, and its standard deviation [m]

@@ -1,4 +1,4 @@
-"""A run's results as text: its table, what they say, and whether they can be believed."""
+"""A run's results as text: its table, what they say, and whether they can be trusted."""
 
 from collections.abc import Mapping, Sequence
 from itertools import islice

@@ -27,7 +27,7 @@ MAX_ELLIPSES, ELLIPSE_POINTS, SIGMAS, MIN_HALF_AXIS_M = 100, 24, 2.0, 0.06
 """Most ellipses, points of each, standard deviations, and the half axis up to which the middle one is enlarged [m]."""
 LEGEND = (
     "Blue: path; orange: parts that stay undecided. Yellow arcs: turns, by the two images before and after; point at "
-    "one for its angle. Green: loop closures that are believed; red: refused; grey: not judged yet. Each stage is "
+    "one for its angle. Green: loop closures that are inliers; red: refused; grey: not judged yet. Each stage is "
     "aligned with the last."
 )
 
@@ -100,10 +100,10 @@ def _draw_turns(stored: StoredMap, places: np.ndarray, heading: np.ndarray) -> L
 def _draw_closures(stored: StoredMap, places: np.ndarray, stage: int) -> Iterator[Lines]:
     """A line between the two ends of each loop closure; before the first round, none is judged."""
     ends = places[stored.closure]
-    shown, believed = np.isfinite(ends).all(axis=(1, 2)), stored.stage_believed[stage]
+    shown, inliers = np.isfinite(ends).all(axis=(1, 2)), stored.stage_believed[stage]
     for name, chosen, colour in (
-        ("refused", shown & ~believed, OPEN_COLOUR if stored.stage[stage] == 0 else OUTLIER_COLOUR),
-        ("believed", shown & believed, INLIER_COLOUR),
+        ("refused", shown & ~inliers, OPEN_COLOUR if stored.stage[stage] == 0 else OUTLIER_COLOUR),
+        ("inliers", shown & inliers, INLIER_COLOUR),
     ):
         apart = np.linalg.norm(ends[chosen, 0] - ends[chosen, 1], axis=1)
         turned = np.degrees(stored.closure_turn[chosen])
@@ -141,10 +141,10 @@ def outline_ellipses(covariance: np.ndarray, sigmas: float) -> np.ndarray:
 
 
 def _describe(stored: StoredMap, stage: int, off_m: float | None) -> list[str]:
-    number, believed = int(stored.stage[stage]), stored.stage_believed[stage]
+    number, inliers = int(stored.stage[stage]), stored.stage_believed[stage]
     title = "## Laid out along the compass headings" if number == 0 else f"## After round {number}"
     error = "" if off_m is None else f" RMS error {100 * off_m:.1f} cm."
-    words = [title, f"{int(believed.sum())} of {len(believed)} loop closures are believed.{error}"]
+    words = [title, f"{int(inliers.sum())} of {len(inliers)} loop closures are inliers.{error}"]
     if stage == len(stored.stage) - 1:
         expected = 100 * float(np.sqrt(np.mean(stored.expected[stored.known] ** 2)))
         share = 100 * stored.undecided.mean()

@@ -1,4 +1,4 @@
-"""Which loop closures of a map are believed, what the rejected ones say about it, and how they join parts of a drive.
+"""Which loop closures of a map are inliers, what the rejected ones say about it, and how they join parts of a drive.
 
 Between parts the robot was carried or its turn is unknown. A loop closure with its relative heading shows how one part
 is placed against the other. A join needs several that agree in place and heading, and no other group of them that
@@ -16,7 +16,7 @@ from deepgps.data.segments import measure_spacing
 from deepgps.initial_map.compass.bars import Bars, turn
 from sim.geometry import wrap
 
-GATE = 4.0  # Standard deviations within which a loop closure is believed
+GATE = 4.0  # Standard deviations within which a loop closure is an inlier
 KNOWN_GATE_M, VAGUE_GATE_M, MAX_GATE_M = 0.3, 0.5, 2.0
 """A gate below ``KNOWN_GATE_M`` means that the distance of the two observations is known; above ``VAGUE_GATE_M`` they
 only look alike. No gate is wider than ``MAX_GATE_M`` [m]."""
@@ -31,10 +31,10 @@ HEADING_STD_RAD, HEADING_STD_RAD_PER_M, MAX_HEADING_DIFFERENCE_RAD = np.radians(
 whose heading differs from the map's by more than ``MAX_HEADING_DIFFERENCE_RAD`` is false."""
 MIN_CLOSURES, MIN_INLIER_SHARE = 4, 0.5
 """A segment is doubted if it has at least ``MIN_CLOSURES`` loop closures and less than ``MIN_INLIER_SHARE`` of these
-are believed."""
+are inliers."""
 MIN_CROSSING_CLOSURES, MAX_CROSSING_INLIER_SHARE = 10, 0.1
 """A turn is wrong if at least ``MIN_CROSSING_CLOSURES`` loop closures connect what was driven before and after it, and
-no more than ``MAX_CROSSING_INLIER_SHARE`` of these are believed."""
+no more than ``MAX_CROSSING_INLIER_SHARE`` of these are inliers."""
 
 
 @dataclass(frozen=True)
@@ -58,10 +58,10 @@ class Links(NamedTuple):
     turn_std: np.ndarray  # Its standard deviation (m,) [rad]
 
 
-class Belief(NamedTuple):
-    """Which loop closures are believed, with the weights of their squared residuals."""
+class Inliers(NamedTuple):
+    """Which loop closures are inliers, with the weights of their squared residuals."""
 
-    believed: np.ndarray  # Whether each is believed (m,) bool
+    mask: np.ndarray  # Whether each is an inlier (m,) bool
     place: np.ndarray  # Weight of its position (m,)
     turn: np.ndarray  # Weight of its relative heading (m,)
     repeats_m: float  # Distance after which the world repeats [m]; infinite: it does not repeat; 0: unknown
@@ -87,11 +87,11 @@ def link(bars: Bars, closures: Closures, observations: int) -> Links:
     )
 
 
-def believe(bars: Bars, error: np.ndarray, part: np.ndarray, links: Links, narrow: bool) -> Belief:
-    """Believe the loop closures within the gate, if the gate is narrower than half of where the world repeats.
+def find_inliers(bars: Bars, error: np.ndarray, part: np.ndarray, links: Links, narrow: bool) -> Inliers:
+    """The loop closures within the gate, if the gate is narrower than half of where the world repeats.
 
     Samples of the errors of readings' positions are (r, 2, k) [m]. Between parts of the drive, as bars (B,) have them,
-    none is believed. ``narrow``: only gates below ``KNOWN_GATE_M`` count, which need not know after what distance the
+    none is an inlier. ``narrow``: only gates below ``KNOWN_GATE_M`` count, which need not know after what distance the
     world repeats.
     """
     _, heading, _, point = bars.locate(slice(None))
@@ -103,9 +103,9 @@ def believe(bars: Bars, error: np.ndarray, part: np.ndarray, links: Links, narro
     sure = np.concatenate([np.sqrt(squared[possible & (gate < KNOWN_GATE_M)]), _measure_twins(error, point, links)])
     repeats_m = _find_repeat(sure)
     reach = KNOWN_GATE_M if narrow else limit_gate(repeats_m)
-    believed = possible & (gate < reach) & (squared < 2.0 * GATE**2 * (known + links.variance))
+    mask = possible & (gate < reach) & (squared < 2.0 * GATE**2 * (known + links.variance))
     place = (1.0 + squared / (2.0 * ROBUST_SCALE**2 * links.variance)) ** -2.0
-    return Belief(believed, place, (1.0 + (away / (ROBUST_SCALE * links.turn_std)) ** 2) ** -2.0, repeats_m)
+    return Inliers(mask, place, (1.0 + (away / (ROBUST_SCALE * links.turn_std)) ** 2) ** -2.0, repeats_m)
 
 
 def limit_gate(repeats_m: float) -> float:
@@ -133,18 +133,18 @@ def _find_repeat(apart: np.ndarray) -> float:
     return float(far[few]) if len(far) > few else np.inf
 
 
-def find_parts(bars: Bars, links: Links, cut: np.ndarray, belief: Belief) -> np.ndarray:
+def find_parts(bars: Bars, links: Links, cut: np.ndarray, inliers: Inliers) -> np.ndarray:
     """Part of the drive of each bar (B,): joints that are not ``cut`` (B - 1,) and closures connect it."""
     joint = np.flatnonzero(~cut)
-    one = np.concatenate([joint, bars.row[links.one[belief.believed]]])
-    other = np.concatenate([joint + 1, bars.row[links.other[belief.believed]]])
+    one = np.concatenate([joint, bars.row[links.one[inliers.mask]]])
+    other = np.concatenate([joint + 1, bars.row[links.other[inliers.mask]]])
     size = len(bars.unknown)
     graph = csr_array((np.ones(len(one)), (one, other)), shape=(size, size))
     return np.asarray(connected_components(graph, directed=False)[1])
 
 
-def find_contradicted(bars: Bars, part: np.ndarray, links: Links, belief: Belief) -> np.ndarray:
-    """Joints (B - 1,) bool at whose turn something is wrong: of the loop closures across it hardly any is believed."""
+def find_contradicted(bars: Bars, part: np.ndarray, links: Links, inliers: Inliers) -> np.ndarray:
+    """Joints (B - 1,) bool at whose turn something is wrong: of the loop closures across it hardly any is an inlier."""
     low, high = np.sort([bars.row[links.one], bars.row[links.other]], axis=0)
     same = part[low] == part[high]
 
@@ -155,17 +155,17 @@ def find_contradicted(bars: Bars, part: np.ndarray, links: Links, belief: Belief
     across = count(same)
     return (
         (across >= MIN_CROSSING_CLOSURES)
-        & (count(same & belief.believed) < MAX_CROSSING_INLIER_SHARE * across)
+        & (count(same & inliers.mask) < MAX_CROSSING_INLIER_SHARE * across)
         & (np.diff(bars.segment) > 0)
     )
 
 
-def find_doubted(bars: Bars, links: Links, belief: Belief) -> np.ndarray:
+def find_doubted(bars: Bars, links: Links, inliers: Inliers) -> np.ndarray:
     """Segments (L,) bool whose place most of their loop closures contradict."""
     ends = bars.segment[bars.row[np.concatenate([links.one, links.other])]]
     segments = bars.segment[-1] + 1
     count = np.bincount(ends, minlength=segments)
-    agreed = np.bincount(ends, np.tile(belief.believed, 2), segments)
+    agreed = np.bincount(ends, np.tile(inliers.mask, 2), segments)
     return (count >= MIN_CLOSURES) & (agreed < MIN_INLIER_SHARE * count)
 
 

@@ -2,7 +2,7 @@
 
 The compass gives the differences of headings, the encoders the lengths, so the map can neither fold nor mirror. A loop
 closure says that two images were taken in almost one place, and how far the second is turned against the first. It is
-believed only within a gate: a few standard deviations of the distance between its two ends, from the covariance of the
+an inlier only within a gate: a few standard deviations of the distance between its two ends, from the covariance of the
 map itself, so that a place that only looks alike is never joined with one far away.
 """
 
@@ -15,12 +15,12 @@ from deepgps.data.turns import CompassTurns
 from deepgps.initial_map.compass.bars import SHARED_UNKNOWNS, Bars, lay_out
 from deepgps.initial_map.compass.closures import (
     GATE,
-    Belief,
     Closures,
+    Inliers,
     Links,
-    believe,
     find_contradicted,
     find_doubted,
+    find_inliers,
     find_parts,
     join_parts,
     limit_gate,
@@ -41,11 +41,11 @@ from deepgps.initial_map.compass.least_squares import (
 
 NEIGHBOURS = 3
 MAX_ROUNDS, GROWTH_ROUNDS, MIN_GROWTH = 20, 5, 0.1
-"""Most rounds after the map has grown. It grows while this part more loop closures are believed than ``GROWTH_ROUNDS``
+"""Most rounds after the map has grown. It grows while this part more loop closures are inliers than ``GROWTH_ROUNDS``
 rounds before: in a long drive, each drift can be seen only after shorter ones are mended."""
 ATTEMPTS = 10  # Times that parts are joined although they have come apart again when refined
 CONVERGENCE_M, CONVERGENCE_SHARE = 0.001, 0.001
-"""The map is finished once no round moves it further than this [m], or changes this part of the closures believed."""
+"""The map is finished once no round moves it further than this [m], or changes this part of the inliers."""
 CUT_STD_RAD, CUT_STD_M = (
     0.15,
     0.5,
@@ -62,7 +62,7 @@ class Stage:
 
     places: np.ndarray  # Positions of the camera at the observations (N, 2) [m]; NaN where they are unknown
     heading: np.ndarray  # Heading of the robot at each (N,) [rad]
-    believed: np.ndarray  # Which loop closures are believed (n,) bool
+    inliers: np.ndarray  # Which loop closures are inliers (n,) bool
     number: int  # Rounds before it; 0: as laid out along the compass headings
 
 
@@ -75,7 +75,7 @@ class CompassMap:
     heading: np.ndarray  # Heading of the robot at each (N,) [rad]
     std: np.ndarray  # Standard deviation of each position along either axis, after alignment of the whole map (N,) [m]
     error: np.ndarray  # Samples of the positions' errors after alignment (N, 2, SAMPLES) [m]
-    believed: np.ndarray  # Which loop closures are believed (n,) bool
+    inliers: np.ndarray  # Which loop closures are inliers (n,) bool
     # Observations that look-alikes would let lie elsewhere, or that nothing joins to the rest (N,) bool
     undecided: np.ndarray
     repeats_m: float  # Distance after which the world repeats [m]; infinite: it does not repeat; 0: unknown
@@ -123,7 +123,7 @@ def _find(
     cut = (joints.angle_std > CUT_STD_RAD) | (joints.jump_std > CUT_STD_M)
     fit = _fit(bars, joints, links, cut, curvature, rng)
     for _ in range(RECUTS):
-        wrong = find_contradicted(bars, fit.part, links, fit.belief) & ~cut
+        wrong = find_contradicted(bars, fit.part, links, fit.inliers) & ~cut
         if not wrong.any():
             break
         cut, before = cut | wrong, fit.rounds
@@ -134,27 +134,27 @@ def _find(
 
 @dataclass
 class _Fit:
-    """A fit of the bars: their parts (B,), samples of the unknowns' errors (count, SAMPLES), what is believed; and of
-    each round, positions (r, 2) and headings (r,) of the readings, and what is believed (m,).
+    """A fit of the bars: their parts (B,), samples of the unknowns' errors (count, SAMPLES), the inliers; and of
+    each round, positions (r, 2) and headings (r,) of the readings, and the inliers (m,).
     """
 
     part: np.ndarray
     samples: np.ndarray
-    belief: Belief
+    inliers: Inliers
     scale: Scale
     rounds: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=list)
 
     def keep(self, bars: Bars) -> None:
         """Keep the round for the history of the map's making."""
         _, heading, _, camera = bars.locate(slice(None))
-        self.rounds.append((camera.astype(np.float32), heading.astype(np.float32), self.belief.believed))
+        self.rounds.append((camera.astype(np.float32), heading.astype(np.float32), self.inliers.mask))
 
 
 def _fit(bars: Bars, joints: Joints, links: Links, cut: np.ndarray, curvature: float, rng: np.random.Generator) -> _Fit:
     """Refine the parts between the joints ``cut`` (J,), and join them, until no more stay joined when refined."""
     none = np.zeros(len(links.one), bool)
-    belief = Belief(none, np.ones(len(none)), np.ones(len(none)), np.inf)
-    fit = _Fit(np.append(0, np.cumsum(cut)), np.empty(0), belief, Scale())
+    inliers = Inliers(none, np.ones(len(none)), np.ones(len(none)), np.inf)
+    fit = _Fit(np.append(0, np.cumsum(cut)), np.empty(0), inliers, Scale())
     fit.keep(bars)
     fewest, attempts = len(cut) + 2, 0
     while True:
@@ -168,7 +168,7 @@ def _fit(bars: Bars, joints: Joints, links: Links, cut: np.ndarray, curvature: f
             joined |= more
         if not joined.any():
             return fit
-        fit.belief = fit.belief._replace(believed=fit.belief.believed | joined)
+        fit.inliers = fit.inliers._replace(mask=fit.inliers.mask | joined)
 
 
 def _refine(
@@ -181,25 +181,25 @@ def _refine(
     rng: np.random.Generator,
 ) -> None:
     """Move the bars by Gauss-Newton with robust weights until they rest, at first with narrow gates alone."""
-    narrow, believed, left = True, [0], MAX_ROUNDS
+    narrow, inliers, left = True, [0], MAX_ROUNDS
     while left > 0:
-        fit.part = find_parts(bars, links, cut, fit.belief)
+        fit.part = find_parts(bars, links, cut, fit.inliers)
         equations = Equations()
         add_odometry(equations, bars, joints, fit.part, cut, curvature, fit.scale)
-        add_links(equations, bars, links, fit.belief)
-        move, fit.samples = equations.solve(*hold_length(bars, links, fit.belief), rng)
+        add_links(equations, bars, links, fit.inliers)
+        move, fit.samples = equations.solve(*hold_length(bars, links, fit.inliers), rng)
         angles = move[:-SHARED_UNKNOWNS].reshape(-1, 4)[:, 2:]
         angles[...] = angles.clip(-MAX_TURN, MAX_TURN)
         before = bars.camera
         bars.move(move)
-        fit.belief = believe(bars, carry(bars, fit.samples), fit.part, links, narrow)
+        fit.inliers = find_inliers(bars, carry(bars, fit.samples), fit.part, links, narrow)
         fit.scale = rescale(bars, joints, fit.part, cut, fit.samples, fit.scale)
         fit.keep(bars)
-        believed.append(int(fit.belief.believed.sum()))
-        grows = believed[-1] > (1.0 + MIN_GROWTH) * believed[max(-1 - GROWTH_ROUNDS, -len(believed))]
+        inliers.append(int(fit.inliers.mask.sum()))
+        grows = inliers[-1] > (1.0 + MIN_GROWTH) * inliers[max(-1 - GROWTH_ROUNDS, -len(inliers))]
         rests = (
             np.abs(bars.camera - before).max() < CONVERGENCE_M
-            and abs(np.diff(believed[-2:])) <= CONVERGENCE_SHARE * believed[-1]
+            and abs(np.diff(inliers[-2:])) <= CONVERGENCE_SHARE * inliers[-1]
         )
         if rests and not narrow:
             break
@@ -210,7 +210,7 @@ def _refine(
 def _describe(
     bars: Bars, links: Links, fit: _Fit, closures: Closures, observations: int, rng: np.random.Generator
 ) -> CompassMap:
-    part, belief, samples = fit.part, fit.belief, fit.samples
+    part, inliers, samples = fit.part, fit.inliers, fit.samples
     main = part[bars.row] == np.bincount(part[bars.row]).argmax()
     places, heading = np.full((observations, 2), np.nan), np.full(observations, np.nan)
     error = np.full((observations, 2, SAMPLES), np.nan)
@@ -223,8 +223,8 @@ def _describe(
     std = np.sqrt((error**2).mean(axis=2).sum(axis=1) / 2.0)
     undecided = np.zeros(observations, bool)
     undecided[bars.observation] = True  # an observation whose readings were all lost is no part of the map
-    undecided &= ~(GATE * np.sqrt(2.0) * std < limit_gate(belief.repeats_m))
-    doubted = find_doubted(bars, links, belief)
+    undecided &= ~(GATE * np.sqrt(2.0) * std < limit_gate(inliers.repeats_m))
+    doubted = find_doubted(bars, links, inliers)
     undecided[bars.observation[doubted[bars.segment[bars.row]]]] = True
     stages = _thin_out(bars, links, fit, main, len(closures.first), observations)
     shared_std = np.sqrt((samples[-SHARED_UNKNOWNS:] ** 2).mean(axis=1))
@@ -233,9 +233,9 @@ def _describe(
         heading,
         std,
         error,
-        stages[-1].believed,
+        stages[-1].inliers,
         undecided,
-        belief.repeats_m,
+        inliers.repeats_m,
         bars.shared,
         shared_std,
         fit.scale,
@@ -254,11 +254,11 @@ def _thin_out(
     seen, first = np.unique(bars.observation[order], return_index=True)
     first, stages = order[first], []
     for number in chosen:
-        camera, direction, believed = fit.rounds[number]
+        camera, direction, inliers = fit.rounds[number]
         places, heading = np.full((observations, 2), np.nan, np.float32), np.full(observations, np.nan, np.float32)
         places[seen], heading[seen] = camera[first], direction[first]
         of_all = np.zeros(closures, bool)
-        of_all[links.number] = believed
+        of_all[links.number] = inliers
         stages.append(Stage(places, heading, of_all, int(number)))
     return tuple(stages)
 

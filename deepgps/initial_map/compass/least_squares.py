@@ -23,7 +23,7 @@ from deepgps.initial_map.compass.bars import (
     expand,
     turn,
 )
-from deepgps.initial_map.compass.closures import Belief, Links
+from deepgps.initial_map.compass.closures import Inliers, Links
 from sim.geometry import wrap
 
 SAMPLES = 32
@@ -138,15 +138,15 @@ def add_odometry(
     equations.add(shared, np.ones(1), bars.shared - np.array([curvature, 0.0, 0.0]), prior)
 
 
-def add_links(equations: Equations, bars: Bars, links: Links, belief: Belief) -> None:
-    """Add the positions and relative headings of the loop closures that are believed."""
-    used = np.flatnonzero(belief.believed)
+def add_links(equations: Equations, bars: Bars, links: Links, inliers: Inliers) -> None:
+    """Add the positions and relative headings of the loop closures that are inliers."""
+    used = np.flatnonzero(inliers.mask)
     one, other = links.one[used], links.other[used]
-    weight = np.sqrt(belief.place[used] / links.variance[used])
+    weight = np.sqrt(inliers.place[used] / links.variance[used])
     apart = bars.locate(one).camera - bars.locate(other).camera
     _add_pairs(equations, bars, one, other, apart, weight, CAMERA_UNKNOWNS)
     used = used[np.isfinite(links.turn[used])]
-    weight = np.sqrt(belief.turn[used]) / links.turn_std[used]
+    weight = np.sqrt(inliers.turn[used]) / links.turn_std[used]
     _add_turns(equations, bars, links.one[used], links.other[used], links.turn[used], weight)
 
 
@@ -174,7 +174,7 @@ def _rescale(residual: np.ndarray, left: np.ndarray, std: np.ndarray, scale: flo
     return float(np.clip(np.sqrt(factor), 1.0 / MAX_RESCALING, MAX_RESCALING))
 
 
-def hold_length(bars: Bars, links: Links, belief: Belief) -> tuple[np.ndarray, float]:
+def hold_length(bars: Bars, links: Links, inliers: Inliers) -> tuple[np.ndarray, float]:
     """Derivative (count,) of the total length of the bars, and by how much it exceeds the distance driven [m].
 
     Both ends of a loop closure are a few centimetres apart, and loop closures that pull them together would shrink a
@@ -183,7 +183,7 @@ def hold_length(bars: Bars, links: Links, belief: Belief) -> tuple[np.ndarray, f
     """
     pulled = np.zeros(len(bars.unknown))
     for end in (links.one, links.other):
-        pulled[bars.row[end[belief.believed]]] = 1.0
+        pulled[bars.row[end[inliers.mask]]] = 1.0
     length, scale = pulled * bars.along[bars.last], np.exp(bars.unknown[:, 3])
     held = np.zeros(bars.count)
     held[3:-SHARED_UNKNOWNS:4] = length * scale

@@ -58,8 +58,8 @@ def find_affine_maps(count: int, segments: Segments, closures: LoopClosures) -> 
         if places is None:
             return
         yield places
-        for believed in ROBUST_SCALES:
-            trust = (1.0 + _measure_gaps(graph, places) / (believed * graph.step) ** 2) ** -2
+        for scale in ROBUST_SCALES:
+            trust = (1.0 + _measure_gaps(graph, places) / (scale * graph.step) ** 2) ** -2
             robust = _lay_out(graph, _find_modes_if_any(graph, trust), used, count)
             if robust is None:
                 break

@@ -85,12 +85,12 @@ def fit_mixture(places: np.ndarray, segments: Segments, mixture: csr_array) -> n
     place = np.where(known[:, None], places, np.nanmean(places, axis=0))
     a, b, way = find_steps(segments)
     off_mixture = kron(eye_array(len(place)) - mixture, eye_array(2)).tocsr()
-    for believed in np.geomspace(*MIXTURE_SCALES_M, MIXTURE_ROUNDS):
+    for scale in np.geomspace(*MIXTURE_SCALES_M, MIXTURE_ROUNDS):
         bar = place[a] - place[b]
         length = np.linalg.norm(bar, axis=1).clip(1e-9)
         off, apart = length - way, (off_mixture @ place.ravel()).reshape(-1, 2)
-        trust = MIXTURE_STD_M**-2 * (1.0 + (apart**2).sum(axis=1) / believed**2) ** -2
-        weight = np.concatenate([BAR_STDS_M[1] ** -2 * (1.0 + off**2 / believed**2) ** -2, np.repeat(trust, 2)])
+        trust = MIXTURE_STD_M**-2 * (1.0 + (apart**2).sum(axis=1) / scale**2) ** -2
+        weight = np.concatenate([BAR_STDS_M[1] ** -2 * (1.0 + off**2 / scale**2) ** -2, np.repeat(trust, 2)])
         none = np.empty(0, int)
         slope = vstack([_slope(a, b, bar / length[:, None], none, none, len(place)), off_mixture]).tocsc()
         weighted = slope.multiply(weight[:, None]).tocsc()
@@ -134,14 +134,14 @@ def relax_ends(places: np.ndarray, segments: Segments, closures: LoopClosures) -
     a, b, way = _among(known, number, find_steps(segments))
     c, e, near = _among(known, number, closures)
     size = np.hypot(near, MIN_CLOSURE_STD_M)
-    for believed, exact in zip(np.geomspace(*ROBUST_SCALES_M, ROUNDS), np.geomspace(*BAR_STDS_M, ROUNDS), strict=True):
+    for scale, exact in zip(np.geomspace(*ROBUST_SCALES_M, ROUNDS), np.geomspace(*BAR_STDS_M, ROUNDS), strict=True):
         bar, apart = place[a] - place[b], place[c] - place[e]
         length = np.linalg.norm(bar, axis=1).clip(1e-9)
         off = length - way
         weight = np.concatenate(
             [
-                exact**-2 * (1.0 + off**2 / believed**2) ** -2,
-                np.repeat(size**-2 * (1.0 + (apart**2).sum(axis=1) / believed**2) ** -2, 2),
+                exact**-2 * (1.0 + off**2 / scale**2) ** -2,
+                np.repeat(size**-2 * (1.0 + (apart**2).sum(axis=1) / scale**2) ** -2, 2),
             ]
         )
         slope = _slope(a, b, bar / length[:, None], c, e, len(place))

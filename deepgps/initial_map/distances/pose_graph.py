@@ -59,10 +59,10 @@ def relax(places: np.ndarray, segments: Segments, closures: LoopClosures) -> tup
     """
     graph = build_pose_graph(segments, closures, np.asarray(np.isfinite(places).all(axis=1)))
     middle, heading = lay_bars(places[graph.observation], graph)
-    for believed in graph.step * np.geomspace(FIRST_ROBUST_SCALE, LAST_ROBUST_SCALE, ROUNDS):
+    for scale in graph.step * np.geomspace(FIRST_ROBUST_SCALE, LAST_ROBUST_SCALE, ROUNDS):
         ahead = point_along(heading, graph, graph.along)
         apart = (middle[graph.bar] + ahead)[graph.a] - (middle[graph.bar] + ahead)[graph.b]
-        jacobian, trust = derive_apart(graph, move_rigidly(ahead)), np.tile(weigh(graph, apart, believed), 2)
+        jacobian, trust = derive_apart(graph, move_rigidly(ahead)), np.tile(weigh(graph, apart, scale), 2)
         pull = jacobian.T @ (trust * apart.T.ravel())
         move = -factorise(make_normal(jacobian, trust)).solve(pull).reshape(-1, 3)
         middle += move[:, :2]
@@ -142,9 +142,9 @@ def make_normal(jacobian: csc_array, trust: np.ndarray) -> csc_array:
     return normal + DAMPING * (normal.diagonal().max() or 1.0) * eye_array(normal.shape[0], format="csc")
 
 
-def weigh(graph: PoseGraph, apart: np.ndarray, believed: float) -> np.ndarray:
-    """Robust weights (p,) [1 / m^2] of pairs that are ``apart`` (p, 2) [m], by the scale ``believed`` [m]."""
-    robust = (1.0 + (apart**2).sum(axis=1) / believed**2) ** -2
+def weigh(graph: PoseGraph, apart: np.ndarray, scale: float) -> np.ndarray:
+    """Robust weights (p,) [1 / m^2] of pairs that are ``apart`` (p, 2) [m], by ``scale`` [m]."""
+    robust = (1.0 + (apart**2).sum(axis=1) / scale**2) ** -2
     return graph.weight * np.where(graph.firm, 1.0, robust)
 
 
@@ -214,14 +214,14 @@ class UnevenBars:
         along = point_along(self.unknown[:, 2], self._graph, np.ones(len(ahead)))
         return np.concatenate([move_rigidly(ahead), along[:, :, None] * self._cosine[:, None]], axis=2)
 
-    def move(self, believed: float, noise: float) -> Normal:
-        """Move the bars by a Gauss-Newton step with robust weights of the scale ``believed`` [m] and a gap's noise.
+    def move(self, scale: float, noise: float) -> Normal:
+        """Move the bars by a Gauss-Newton step with robust weights of ``scale`` [m] and a gap's noise.
 
         The sum of usual lengths stays, as the map has no other scale.
         """
         graph, (point, ahead) = self._graph, self.place()
         jacobian, apart = derive_apart(graph, self.derive(ahead)), point[graph.a] - point[graph.b]
-        trust = np.tile(weigh(graph, apart, believed), 2)
+        trust = np.tile(weigh(graph, apart, scale), 2)
         prior = np.zeros_like(self.unknown)
         prior[:, 3:] = self.usual[:, None] / (noise * self._std) ** 2
         factors = factorise((make_normal(jacobian, trust) + diags_array(prior.ravel())).tocsc())
@@ -256,8 +256,8 @@ def relax_unevenly(places: np.ndarray, segments: Segments, closures: LoopClosure
     placed = np.asarray(np.isfinite(places).all(axis=1))
     graph = build_pose_graph(segments, closures, placed)
     bars = UnevenBars(graph, places)
-    for believed in graph.step * np.geomspace(FIRST_UNEVEN_SCALE, LAST_UNEVEN_SCALE, UNEVEN_ROUNDS):
-        bars.estimate_noise(bars.move(believed, bars.noise), rng)
+    for scale in graph.step * np.geomspace(FIRST_UNEVEN_SCALE, LAST_UNEVEN_SCALE, UNEVEN_ROUNDS):
+        bars.estimate_noise(bars.move(scale, bars.noise), rng)
     for _ in range(FINAL_ROUNDS):
         bars.move(graph.step * LAST_UNEVEN_SCALE, FINAL_NOISE_WEIGHT * bars.noise)
     found, distance = np.array(places, float), segments.distance.clone()

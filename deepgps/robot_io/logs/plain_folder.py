@@ -31,7 +31,7 @@ JOINTS = ["left", "right"]
 SUFFIXES = {".jpg", ".jpeg", ".png"}
 SECOND_DIGITS, NANOSECOND_DIGITS = 10, 16
 """Digits of whole seconds, and of nanoseconds, since 1970; with fewer, a name is a number and no time."""
-MAX_TIME_S = 9e9  # Largest time that is believed [s]: in the year 2255. Milliseconds since 1970 are larger
+MAX_TIME_S = 9e9  # Largest plausible time [s]: in the year 2255. Milliseconds since 1970 are larger
 UPTIME_NS, SINCE_1970_NS = 10**15, 10**18
 """Names in nanoseconds are below the one, by a clock that began with the robot, or from the other on, since 1970 [ns].
 Those between are microseconds since 1970."""

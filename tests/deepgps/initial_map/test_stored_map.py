@@ -25,8 +25,8 @@ def test_a_map_is_read_back_with_all_its_stages(tmp_path: Path):
     apart = made.place[stored.turn[:, 1]] - made.place[stored.turn[:, 0]]
     np.testing.assert_allclose(apart, 0.0, atol=1e-9)  # segments meet where the robot turned
     first, last = found.stages[0], found.stages[-1]  # from as laid out to the map
-    assert not first.believed.any() and error(first.places, made.place) > 2.0 * error(found.places, made.place)
-    np.testing.assert_array_equal(last.believed, found.believed)
+    assert not first.inliers.any() and error(first.places, made.place) > 2.0 * error(found.places, made.place)
+    np.testing.assert_array_equal(last.inliers, found.inliers)
     np.testing.assert_allclose(last.places, found.places, atol=1e-5)
     np.testing.assert_allclose(last.heading, found.heading, atol=1e-5)
     assert 2 <= len(stored.stage) <= MAX_STAGES and stored.stage[0] == 0 and (np.diff(stored.stage) > 0).all()

@@ -20,11 +20,11 @@ SAMPLES, STAGES, CLOSURES = 60, 3, 20
 
 
 def make_map(pose: np.ndarray, rng: np.random.Generator) -> StoredMap:
-    """A map that straightens: a third of the loop closures is believed at its second stage, two thirds at its last."""
+    """A map that straightens: a third of the loop closures are inliers at its second stage, two thirds at its last."""
     count = len(pose)
     drift = np.linspace(1.0, 0.0, STAGES)[:, None, None] * np.linspace(0.0, 0.5, count)[None, :, None]
     places = pose[:, :2] @ np.array([[0.0, 1.0], [-1.0, 0.0]]) + [4.0, 1.0]
-    believed = np.arange(CLOSURES) % 3 < np.arange(STAGES)[:, None]
+    inliers = np.arange(CLOSURES) % 3 < np.arange(STAGES)[:, None]
     turn = np.flatnonzero(np.abs(np.diff(pose[:, 2])) > 0)
     return StoredMap(
         places=places,
@@ -40,7 +40,7 @@ def make_map(pose: np.ndarray, rng: np.random.Generator) -> StoredMap:
         stage=np.array([0, 1, 5]),
         stage_places=(places + drift).astype(np.float32),
         stage_heading=np.tile(pose[:, 2], (STAGES, 1)).astype(np.float32),
-        stage_believed=believed,
+        stage_believed=inliers,
     )
 
 
@@ -63,9 +63,9 @@ def read_stages(run: Path, name: str) -> list[list]:
     return [one for one in rows["LineStrips3D:strips"].to_pylist() if one is not None]
 
 
-def test_each_loop_closure_is_believed_or_refused_at_each_stage(run: Path):
-    believed, refused = ([len(stage) for stage in read_stages(run, name)] for name in ("believed", "refused"))
-    assert believed == [0, 7, 14] and [sum(pair) for pair in zip(believed, refused, strict=True)] == [CLOSURES] * STAGES
+def test_each_loop_closure_is_an_inlier_or_refused_at_each_stage(run: Path):
+    inliers, refused = ([len(stage) for stage in read_stages(run, name)] for name in ("inliers", "refused"))
+    assert inliers == [0, 7, 14] and [sum(pair) for pair in zip(inliers, refused, strict=True)] == [CLOSURES] * STAGES
 
 
 def test_the_last_stage_is_where_the_robot_was_and_the_first_is_not(run: Path):

@@ -135,13 +135,13 @@ PARENT = """
 import sys, time
 from pathlib import Path
 import numpy as np
-from tests.conftest import SMALL
+from tests.conftest import SMALL_WORLD
 from sim.recording.renderers import Part, Renderers
 from tests.sim.recording.test_renderers import always_hang
 if __name__ == "__main__":
     with Renderers(always_hang, 2, 0.0) as workers:
         for number in range(2):
-            workers.give(Part(SMALL, np.zeros((1, 9)), Path(str(number))))
+            workers.give(Part(SMALL_WORLD, np.zeros((1, 9)), Path(str(number))))
         print(*[worker.process.pid for worker in workers._workers], flush=True)
         time.sleep(60)
 """

@@ -58,7 +58,7 @@ def test_a_rough_map_becomes_exact_to_a_centimetre_and_a_right_one_stays(mapped:
     assert np.array_equal(relax(more, segments, closures)[0][-1], [7.0, 8.0])
 
 
-def test_a_few_false_look_alikes_are_not_believed(mapped: Mapped):
+def test_a_few_false_look_alikes_are_no_inliers(mapped: Mapped):
     rough, segments, (first, second, length), place = mapped
     rng = np.random.default_rng(1)
     i, j = rng.integers(len(place), size=(2, 40))
