@@ -45,8 +45,8 @@ def predict_rms(segments: Segments, encoder: EncoderSettings) -> float:
 
     It includes noise and the faults that are in no data sheet: wrong radii and a stuck encoder (``FAULTS``).
     """
-    way, noise = _measure_complete(segments)
-    return float((noise + expect_bias(encoder, way)).mean().sqrt())
+    distance, noise = _measure_complete(segments)
+    return float((noise + expect_bias(encoder, distance)).mean().sqrt())
 
 
 def find_inliers(segments: Segments) -> torch.Tensor:
@@ -62,8 +62,8 @@ def measure_wheel_disagreement(recording: Recording, tick_m: float, slip_per_m: 
     Their difference has the variance t^2 / 3 + 2 s^2 c. A larger wheel causes a difference in proportion to the
     distance on all segments, which is subtracted; the median of the remaining differences counts as normal.
     """
-    way = travel(recording.reading[:, 2:], recording.manifest.odometry)
-    ends = np.array([way[run[-1]] - way[run[0]] for run in find_runs(recording) if len(run) >= 2])
+    distance = travel(recording.reading[:, 2:], recording.manifest.odometry)
+    ends = np.array([distance[run[-1]] - distance[run[0]] for run in find_runs(recording) if len(run) >= 2])
     driven, apart = np.abs(ends.mean(axis=1)), ends[:, 1] - ends[:, 0]
     apart -= np.median(apart / driven.clip(tick_m)) * driven
     usual = 1.4826 * np.median(np.abs(apart))

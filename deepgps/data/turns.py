@@ -142,7 +142,7 @@ BACK_OFF_STD_M, MEETING_STD_M = 0.05, 0.001
 """Standard deviations of where a segment begins after the robot backed off, and where it turned in place [m]."""
 SPACING_STD_SHARE = 0.3  # Standard deviation of the distance between images, as a part of it, where readings were lost
 UNKNOWN_STD_RAD, UNKNOWN_STD_M = 3.0, 10.0
-"""Standard deviations of a turn and of a way of which nothing is known: the robot was carried [rad], [m]."""
+"""Standard deviations of a turn and of a distance of which nothing is known: the robot was carried [rad], [m]."""
 
 
 @dataclass(frozen=True)
@@ -198,20 +198,20 @@ def _join(recording: Recording, angle: np.ndarray, variance: np.ndarray) -> Comp
         if begun and (number is None or skipped):
             squared, jump_squared = squared + UNKNOWN_STD_RAD**2, jump_squared + UNKNOWN_STD_M**2
         if begun and number is not None:
-            way_m = travelled[run[0]] - travelled[before[-1]]
+            distance_m = travelled[run[0]] - travelled[before[-1]]
             last, place, first = recording.reading[before[-1], 1], turns.before[number], recording.reading[run[0], 1]
             ahead = _direct(turned)
             if KINDS[turns.kind[number]] == "relocated":
                 squared, jump_squared = squared + UNKNOWN_STD_RAD**2, jump_squared + UNKNOWN_STD_M**2
             elif KINDS[turns.kind[number]] == "backed_off":
                 on_m = max(first - place - 1, 0) * step_m  # driven after it, before the first reading that arrived
-                jump = jump + (way_m - on_m) * ahead + on_m * _direct(turned + angle[number])
+                jump = jump + (distance_m - on_m) * ahead + on_m * _direct(turned + angle[number])
                 jump_squared += BACK_OFF_STD_M**2 + (SPACING_STD_SHARE * on_m) ** 2
             elif first > last:  # readings at the turn were lost
                 share = (place - last) / (first - last)
-                jump = jump + way_m * (share * ahead + (1.0 - share) * _direct(turned + angle[number]))
+                jump = jump + distance_m * (share * ahead + (1.0 - share) * _direct(turned + angle[number]))
                 if last < place < first:  # nothing was measured at the turn itself: images are evenly spaced, roughly
-                    jump_squared += (SPACING_STD_SHARE * way_m / (first - last)) ** 2
+                    jump_squared += (SPACING_STD_SHARE * distance_m / (first - last)) ** 2
             turned, squared = turned + angle[number], squared + variance[number]
         if len(run) >= 2:
             if begun:

@@ -110,7 +110,7 @@ def diagnose(recording: Recording, sight: Sight | None = None) -> Diagnosis:
     track_m = odometry["track_m"]
     scale_std = (scale.std**2 + SCALE_STD**2) ** 0.5
     apart = curve.value * scale.value * track_m
-    metres = slip.value / max(2.0 * gaps.way[gaps.inside].mean(axis=1).sum(), 1e-9) ** 0.5  # error of all distance
+    metres = slip.value / max(2.0 * gaps.distance[gaps.inside].mean(axis=1).sum(), 1e-9) ** 0.5  # error of all distance
     apart_std = (track_m**2 * (curve.std**2 + CURVE_STD**2) + apart**2 * (scale_std**2 + metres**2)) ** 0.5
     return Diagnosis(
         track_m=_symmetric(track_m * scale.value, track_m * scale_std),

@@ -32,7 +32,7 @@ class Stretch:
 class Gaps:
     """The G = R - 1 gaps between consecutive readings."""
 
-    way: np.ndarray  # Distance by the left and the right wheel (G, 2) [m]
+    distance: np.ndarray  # Distance by the left and the right wheel (G, 2) [m]
     seconds: np.ndarray  # Duration (G,) [s]
     made_of: np.ndarray  # Original gaps in each (G,); more than one where readings were lost
     inside: np.ndarray  # Whether the gap is on a segment (G,) bool; the others are turns
@@ -47,13 +47,13 @@ def read_gaps(recording: Recording) -> Gaps:
     ticks = np.diff(reading[:, 2:], axis=0)
     step = max(int(np.gcd.reduce(np.abs(ticks), axis=None)), 1)
     tick_m = step * measure_tick(odometry)
-    way, inside = np.diff(travel(reading[:, 2:], odometry), axis=0), np.diff(reading[:, 0]) == 0
-    stuck = tuple(stretch for wheel in range(2) for stretch in find_stuck(way, inside, wheel, tick_m))
-    good = np.ones(len(way), bool)
+    distance, inside = np.diff(travel(reading[:, 2:], odometry), axis=0), np.diff(reading[:, 0]) == 0
+    stuck = tuple(stretch for wheel in range(2) for stretch in find_stuck(distance, inside, wheel, tick_m))
+    good = np.ones(len(distance), bool)
     for stretch in stuck:
         good[max(stretch.first - 1, 0) : stretch.last + 2] = False
     return Gaps(
-        way=way,
+        distance=distance,
         seconds=np.diff(recording.time),
         made_of=np.diff(reading[:, 1]).clip(1),
         inside=inside,
@@ -63,15 +63,15 @@ def read_gaps(recording: Recording) -> Gaps:
     )
 
 
-def find_stuck(way: np.ndarray, inside: np.ndarray, wheel: int, tick_m: float) -> list[Stretch]:
+def find_stuck(distance: np.ndarray, inside: np.ndarray, wheel: int, tick_m: float) -> list[Stretch]:
     """Find the stretches in which a wheel (0 left, 1 right) counts nothing while the other one travels.
 
     Ways of the left and the right wheel are those of each gap (G, 2) [m], of which some are inside segments (G,); in a
     turn one wheel may stand still. A tick is the distance between two counts [m].
     """
-    other = np.abs(way[:, 1 - wheel]) * inside
+    other = np.abs(distance[:, 1 - wheel]) * inside
     found = []
-    for first, last in find_stretches(way[:, wheel] == 0.0).tolist():
+    for first, last in find_stretches(distance[:, wheel] == 0.0).tolist():
         moved = other[first : last + 1]
         if moved.sum() >= max(STALL_TICKS * tick_m, STALL_M):
             clear = np.flatnonzero(moved >= MIN_TICKS * tick_m)
@@ -169,7 +169,7 @@ def fit_slip(gaps: Gaps) -> Fit:
     Slip adds 2 s^2 g to the difference over a gap ``g``, rounding t^2 / 6 to each reading of it. The drift is the
     difference of the wheels' readings over their mean.
     """
-    apart, mean = gaps.way[:, 1] - gaps.way[:, 0], gaps.way.mean(axis=1)
+    apart, mean = gaps.distance[:, 1] - gaps.distance[:, 0], gaps.distance.mean(axis=1)
     runs = _collect(apart, mean, {"g": np.abs(mean)}, _list_runs(gaps, 0, 0))
     return _fit(runs, lambda s: 2.0 * s**2 * runs.size["g"], gaps.tick_m**2 / 6.0, 1.5 * gaps.tick_m)
 
@@ -180,7 +180,7 @@ def fit_step_noise(gaps: Gaps, slip_per_m: float) -> Fit:
     The noise adds (w g)^2 / k to the mean over k original gaps of the length ``g`` in all, slip s^2 g / 2, rounding
     t^2 / 24 to each reading. The drift is the speed [m/s].
     """
-    mean, inner = gaps.way.mean(axis=1), _list_runs(gaps, START_GAPS, END_GAPS)
+    mean, inner = gaps.distance.mean(axis=1), _list_runs(gaps, START_GAPS, END_GAPS)
     used = np.concatenate([np.arange(first, end) for first, end in inner]) if inner else np.arange(0)
     speed = float(np.median(mean[used] / gaps.seconds[used])) if len(used) else 0.0
     g = np.abs(speed) * gaps.seconds

@@ -144,7 +144,7 @@ def measure_turn_scale(
     seen = see_turns(recording, sight)
     assert turns is not None
     gap, reading = turns.after - 1, recording.reading
-    wheels = (gaps.way[gap, 1] - gaps.way[gap, 0]) / track_m
+    wheels = (gaps.distance[gap, 1] - gaps.distance[gap, 0]) / track_m
     clean = (turns.kind == KINDS.index("in_place")) & (turns.image >= 0) & gaps.good[gap]
     clean &= (reading[gap, 1] == turns.before) & (reading[turns.after, 1] == turns.before)
     slope = Slope(1.0, UNKNOWN_STD)
@@ -172,7 +172,7 @@ def measure_curvature(recording: Recording, gaps: Gaps, sight: Sight, scale: flo
     """
     turns, reading = recording.turns, recording.reading
     assert turns is not None
-    wheels = (gaps.way[turns.after - 1, 1] - gaps.way[turns.after - 1, 0]) / recording.manifest.odometry["track_m"]
+    wheels = np.diff(gaps.distance[turns.after - 1])[:, 0] / recording.manifest.odometry["track_m"]
     found = disambiguate(see_turns(recording, sight), wheels / scale, trust_wheels(turns))
     step, square, broken = (np.zeros(len(reading)) for _ in range(3))
     broken[1:] = ~gaps.good | ~gaps.inside  # a turn that no image shows; those that one shows follow
@@ -183,7 +183,7 @@ def measure_curvature(recording: Recording, gaps: Gaps, sight: Sight, scale: flo
     turned, variance, chain = np.cumsum(step), np.cumsum(square), np.cumsum(broken)
     straight = gaps.inside.copy()
     straight[turns.after[turns.kind == KINDS.index("in_place")] - 1] = True  # beside the turn: readings that were lost
-    way = np.append(0.0, np.cumsum(np.where(straight, gaps.way.mean(axis=1), 0.0)))
+    distance = np.append(0.0, np.cumsum(np.where(straight, gaps.distance.mean(axis=1), 0.0)))
     row = np.full(len(recording.observation), -1)
     row[reading[::-1, 1]] = np.arange(len(reading))[::-1]  # at a turn: as it was before the turn
     pairs, angles = see_pairs(recording, sight)
@@ -193,7 +193,7 @@ def measure_curvature(recording: Recording, gaps: Gaps, sight: Sight, scale: flo
         return Slope(0.0, UNKNOWN_STD), int(used.sum())
     one, two, angle = one[used], two[used], angles.angle[used, 0]
     std = np.sqrt(angles.std[used, 0] ** 2 + PLACE_STD_RAD**2 + np.abs(variance[two] - variance[one]))
-    missed, apart = angle - (turned[two] - turned[one]), way[two] - way[one]
+    missed, apart = angle - (turned[two] - turned[one]), distance[two] - distance[one]
     z = wrap(missed - CURVATURES[:, None] * apart) / std
     best = float(CURVATURES[(1.0 / (1.0 + z**2 / 4.0)).sum(axis=1).argmax()])
     left = wrap(missed - best * apart)

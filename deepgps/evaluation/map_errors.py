@@ -113,7 +113,7 @@ MIN_SEGMENTS = 3  # Segments that a part has at least
 class TurnedParts:
     """What the compass says of a map."""
 
-    share: float  # Part of the way driven that lies in parts that are mirrored or turned
+    share: float  # Part of the distance driven that lies in parts that are mirrored or turned
     parts: list[np.ndarray]  # Observations of each such part, the largest first
     turns: int  # Number of turns that were compared
 
@@ -144,12 +144,12 @@ def find_turned_parts(positions: np.ndarray, recording: Recording) -> TurnedPart
 
 
 def describe_parts(found: TurnedParts | None) -> dict[str, Any]:
-    """What ``metrics.json`` holds of them: the share of the way, the number of observations of each part, the turns."""
+    """What ``metrics.json`` holds of them: the share of the distance, the observations of each part, the turns."""
     if found is None:
         return {}
     return {
         "turned": {
-            # Share of the way driven in parts of the map that are mirrored or turned by the compass
+            # Share of the distance driven in parts of the map that are mirrored or turned by the compass
             "share": round(found.share, 4),
             "parts": [len(part) for part in found.parts],  # Observations of each such part
             "turns": found.turns,  # Turns that were compared

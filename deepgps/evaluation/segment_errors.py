@@ -74,9 +74,9 @@ def measure_distances(recording: Recording, pose: np.ndarray) -> tuple[np.ndarra
     True poses (N, 3) are at the observations.
     """
     segment, observation, ticks = recording.reading[:, 0], recording.reading[:, 1], recording.reading[:, 2:]
-    way = travel(ticks, recording.manifest.odometry).mean(axis=1)
+    distance = travel(ticks, recording.manifest.odometry).mean(axis=1)
     start, place = find_starts(segment), pose[observation, :2]
-    encoder = np.abs(way - way[start])  # a robot may back along a segment
+    encoder = np.abs(distance - distance[start])  # a robot may back along a segment
     true = np.linalg.norm(place - place[start], axis=1)
     last = np.flatnonzero(np.r_[segment[1:] != segment[:-1], True])
     before = np.r_[0.0, np.cumsum((encoder - true)[last])]

@@ -109,14 +109,14 @@ def judge_segments(place: np.ndarray, recording: Recording, accepted: np.ndarray
     Figures are None where there is too little. ``accepted`` (N,) bool says which observations are, if it is known.
     """
     reading = recording.reading
-    way = travel(reading[:, 2:], recording.manifest.odometry).mean(axis=1)
+    distance = travel(reading[:, 2:], recording.manifest.odometry).mean(axis=1)
     starts = find_starts(reading[:, 0])
     first, last = np.unique(starts), find_lasts(starts)
     some = last > first
     first, last = first[some], last[some]
     if not len(first):
         return dict.fromkeys(("length_rms_m", "length_median_m", "scale", "straight_rms_m"))
-    wheels = np.abs(way[last] - way[first])
+    wheels = np.abs(distance[last] - distance[first])
     found = np.linalg.norm(place[reading[last, 1]] - place[reading[first, 1]], axis=1)
     both = np.ones(len(last), bool) if accepted is None else accepted[reading[first, 1]] & accepted[reading[last, 1]]
     # The RMS of segments of which both ends are accepted [m]

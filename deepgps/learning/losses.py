@@ -70,10 +70,10 @@ def dense(
         A scalar; zero if there is no pair.
     """
     i, j = torch.triu_indices(positions.shape[1], positions.shape[1], offset=1, device=positions.device)
-    way = (along[:, i] - along[:, j]).abs()
+    driven = (along[:, i] - along[:, j]).abs()
     if curvature:
-        way = 2.0 / curvature * (curvature * way / 2.0).sin()
-    pair = PAIR_LOSSES[kind](distance(positions[:, i], positions[:, j]), way)
+        driven = 2.0 / curvature * (curvature * driven / 2.0).sin()
+    pair = PAIR_LOSSES[kind](distance(positions[:, i], positions[:, j]), driven)
     weight = (valid[:, i] & valid[:, j]).to(pair.dtype)
     if trust is not None:
         pair = pair * trust[:, i, j]

@@ -186,16 +186,16 @@ class Tracker:
 
     def _find_motion(self, travelled_m: float, yaw: float) -> Motion | None:
         """The motion since the last image; None: it is not known."""
-        way, turn = travelled_m - self._travelled_m, yaw - self._yaw
-        if not np.isfinite([way, turn]).all():
+        distance, turn = travelled_m - self._travelled_m, yaw - self._yaw
+        if not np.isfinite([distance, turn]).all():
             return None
-        rests = abs(way) < REST_DISTANCE_M and abs(turn) < REST_TURN_RAD
+        rests = abs(distance) < REST_DISTANCE_M and abs(turn) < REST_TURN_RAD
         # The robot turns and drives at the same time: half of the turn comes first.
         motion = make_motion(
-            way * np.cos(turn / 2),
-            way * np.sin(turn / 2),
+            distance * np.cos(turn / 2),
+            distance * np.sin(turn / 2),
             turn,
-            DISTANCE_STD_SHARE * abs(way) + (0.0 if rests else MIN_DISTANCE_STD_M),
+            DISTANCE_STD_SHARE * abs(distance) + (0.0 if rests else MIN_DISTANCE_STD_M),
             TURN_STD_SHARE * abs(turn) + (0.0 if rests else MIN_TURN_STD_RAD),
         )
         return mirror(motion) if self._mirrored else motion

@@ -273,8 +273,8 @@ def find_driven(recording: Recording) -> np.ndarray:
     They moved if they travelled at least half the median distance between two images; images beside turns are left out.
     """
     segment, number = recording.reading[:, 0], recording.reading[:, 1]
-    way = travel(recording.reading[:, 2:], recording.manifest.odometry).mean(axis=1)
-    gap, next_one = np.abs(np.diff(way, prepend=way[:1])), np.diff(number, prepend=number[:1]) == 1
+    distance = travel(recording.reading[:, 2:], recording.manifest.odometry).mean(axis=1)
+    gap, next_one = np.abs(np.diff(distance, prepend=distance[:1])), np.diff(number, prepend=number[:1]) == 1
     inside = next_one & (np.arange(len(segment)) > find_starts(segment))
     moved = np.zeros(len(recording.observation), bool)
     if inside.any():

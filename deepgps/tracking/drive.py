@@ -1,6 +1,6 @@
 """A recording as the tracker takes it: its images in the order driven, and the motion from each to the next.
 
-Along a segment the robot drives straight, or with a constant curvature; its way is that of the wheels.
+Along a segment the robot drives straight, or with a constant curvature; its distance is that of the wheels.
 Turns are those of the compass, or of the wheels where no images show them. The image after a turn in place is one of
 its own. The ground truth is not used.
 """
@@ -28,7 +28,7 @@ from sim.recording.format import Recording
 from sim.recording.turns import KINDS, NO_IMAGE
 from sim.sensors.encoder import expect_variance
 
-DISTANCE_STD_SHARE = 0.005  # Standard deviation of a way by the wheels, as a part of it, beside the errors of encoders
+DISTANCE_STD_SHARE = 0.005  # Standard deviation of a distance by the wheels, as a part, beside the errors of encoders
 LATERAL_STD_M, HEADING_STD_RAD = 0.002, 0.02
 """Standard deviations of the place beside a straight line and of the heading, after a metre [m], [rad]."""
 
@@ -112,8 +112,8 @@ def _list_nodes(recording: Recording, turns: CompassTurns, curvature: float) -> 
 
 def _find_usual_gap(recording: Recording) -> float:
     """Median distance between two readings of a segment [m]; 0 where there is none."""
-    way, inside = travel(recording.reading[:, 2:], recording.manifest.odometry), np.diff(recording.reading[:, 0]) == 0
-    gaps = np.abs(np.diff(way.mean(axis=1)))[inside]
+    distance = travel(recording.reading[:, 2:], recording.manifest.odometry).mean(axis=1)
+    gaps = np.abs(np.diff(distance))[np.diff(recording.reading[:, 0]) == 0]
     return float(np.median(gaps)) if len(gaps) else 0.0
 
 
@@ -134,13 +134,13 @@ def _add_segment(
     Noise that grows with a gap grows with the true one: a gap that was measured too short errs no less than others.
     """
     seen = recording.reading[run, 1].tolist()
-    way, odometry = travel(recording.reading[run, 2:], recording.manifest.odometry), recording.manifest.odometry
+    distance, odometry = travel(recording.reading[run, 2:], recording.manifest.odometry), recording.manifest.odometry
     there = bool(nodes) and max(nodes[-1].observation, nodes[-2:][0].observation) == seen[0]
     if not there and not shares:
         nodes.append(_Node(seen[0], NO_IMAGE, int(run[0]), pending))
         pending = NO_MOTION
     for number in range(1, len(run)):
-        gap, made_of = way[number] - way[number - 1], max(1, seen[number] - seen[number - 1])
+        gap, made_of = distance[number] - distance[number - 1], max(1, seen[number] - seen[number - 1])
         long = max(abs(float(gap.mean())), usual_m)
         ahead = drive_straight(gap, expect_variance(odometry, long, made_of), curvature)
         nodes.append(_Node(seen[number], NO_IMAGE, int(run[number]), pending and compose(pending, ahead)))
@@ -171,15 +171,15 @@ def _add_turn(
 
 
 def drive_straight(wheels_m: np.ndarray, variance: float, curvature: float = 0.0) -> Motion:
-    """The motion along a straight way, or an arc to the left [1 / m], by the ways of both wheels (2,) [m].
+    """The motion along a straight line, or an arc to the left [1 / m], by the distances of both wheels (2,) [m].
 
     Where these differ, one of them is wrong; the variance is that expected of their mean [m^2].
     """
-    way_m, apart_m = float(wheels_m.mean()), float(np.diff(wheels_m)[0])
-    bent, long = curvature * way_m, abs(way_m)
-    step = way_m * np.array([np.cos(bent / 2.0), np.sin(bent / 2.0)])
+    distance_m, apart_m = float(wheels_m.mean()), float(np.diff(wheels_m)[0])
+    bent, long = curvature * distance_m, abs(distance_m)
+    step = distance_m * np.array([np.cos(bent / 2.0), np.sin(bent / 2.0)])
     spread = [
-        variance + (DISTANCE_STD_SHARE * way_m) ** 2 + (apart_m / 2.0) ** 2,
+        variance + (DISTANCE_STD_SHARE * distance_m) ** 2 + (apart_m / 2.0) ** 2,
         LATERAL_STD_M**2 * long,
         HEADING_STD_RAD**2 * long,
     ]

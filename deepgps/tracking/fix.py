@@ -153,7 +153,7 @@ class Seen:
 
     fix: Fix  # What it says of the pose
     motion: Motion  # By odometry, from it to the next image that is kept, or until now
-    way_m: float = 0.0  # Way driven meanwhile [m]
+    distance_m: float = 0.0  # Driven meanwhile [m]
 
 
 @dataclass(frozen=True)
@@ -175,26 +175,26 @@ def break_off(trail: Trail) -> Trail:
 
 
 def extend(trail: Trail, motion: Motion, scale: float) -> Trail:
-    """The trail after a motion, whose way is ``scale`` times that by odometry."""
+    """The trail after a motion, whose distance is ``scale`` times that by odometry."""
     if not trail.images:
         return trail
     *others, last = trail.images
     moved = compose(last.motion, replace(motion, step=motion.step * scale))
-    return replace(trail, images=(*others, Seen(last.fix, moved, last.way_m + motion.length_m)))
+    return replace(trail, images=(*others, Seen(last.fix, moved, last.distance_m + motion.length_m)))
 
 
 def add_image(trail: Trail, fix: Fix) -> Trail:
     """The trail with an image, compared with the last one that is far enough away."""
-    if trail.images and trail.images[-1].way_m < TRAIL_SPACING_M:
+    if trail.images and trail.images[-1].distance_m < TRAIL_SPACING_M:
         return trail
-    motion, way_m, squared, kept = NO_MOTION, 0.0, trail.squared, [Seen(fix, NO_MOTION)]
+    motion, distance_m, squared, kept = NO_MOTION, 0.0, trail.squared, [Seen(fix, NO_MOTION)]
     for seen in reversed(trail.images):
-        before, way_m = way_m, way_m + seen.way_m
-        if way_m > MAX_COMPARISON_M:
+        before, distance_m = distance_m, distance_m + seen.distance_m
+        if distance_m > MAX_COMPARISON_M:
             break
         motion = compose(seen.motion, motion)
         kept.insert(0, seen)
-        if before < COMPARISON_DISTANCE_M <= way_m:
+        if before < COMPARISON_DISTANCE_M <= distance_m:
             squared = np.append(squared, _compare(fix, seen.fix, motion))[-WINDOW:]
     return Trail(tuple(kept), squared)
 

@@ -72,7 +72,7 @@ def drive(
 ) -> Recording:
     """A recording of a drive between places up to ``high`` with a turn in place at each; ``like`` has its manifest."""
     rng, pose, readings, turned, turns = np.random.default_rng(seed), [], [], [], []
-    here, way = LOW_CORNER, 0.0
+    here, distance = LOW_CORNER, 0.0
     for segment in range(segments):
         target = rng.uniform(LOW_CORNER, high)
         length = max(np.linalg.norm(target - here), 1e-6)
@@ -82,11 +82,11 @@ def drive(
             turned.append([*here, yaw])
         else:
             pose.append([*here, yaw])
-        readings.append((segment, len(pose) - 1, way))
+        readings.append((segment, len(pose) - 1, distance))
         for _ in range(max(2, int(length / STEP_M))):
-            here, way = here + STEP_M * ahead, way + STEP_M
+            here, distance = here + STEP_M * ahead, distance + STEP_M
             pose.append([*here, yaw])
-            readings.append((segment, len(pose) - 1, way))
+            readings.append((segment, len(pose) - 1, distance))
     places, odometry = np.array(pose), like.manifest.odometry
     number = np.array(readings)
     ticks = number[:, 2] / (2.0 * np.pi * odometry["wheel_radius_m"]) * odometry["ticks_per_rev"]

@@ -74,7 +74,7 @@ def make_drive(space: FreeSpace, samples: int, rng: np.random.Generator) -> tupl
     wheel, clock, segment = np.zeros(2), 0.0, 0
     yaw = 0.0
     while len(pose) < samples:
-        way, target_yaw = 0.0, rng.uniform(-np.pi, np.pi)
+        distance, target_yaw = 0.0, rng.uniform(-np.pi, np.pi)
         direction = np.array([np.cos(target_yaw), np.sin(target_yaw)])
         turn = wrap(target_yaw - yaw)
         if not space.is_free(here + 0.4 * direction):
@@ -82,15 +82,15 @@ def make_drive(space: FreeSpace, samples: int, rng: np.random.Generator) -> tupl
         wheel += np.array([-turn, turn]) * TRACK_M / 2 / WHEEL_RADIUS_M
         clock, yaw = clock + abs(turn) / 1.8, target_yaw
         while True:
-            if way > 0 or observation < 0:  # a turning place is one observation with two readings
+            if distance > 0 or observation < 0:  # a turning place is one observation with two readings
                 observation += 1
                 pose.append([*here, yaw])
             reading.append([segment, observation, *np.floor(wheel * TICKS_PER_REV / (2 * np.pi))])
             time.append(clock)
             angle.append(wheel.copy())
-            if way > 3.0 or len(pose) >= samples or not space.is_free(here + 0.08 * direction):
+            if distance > 3.0 or len(pose) >= samples or not space.is_free(here + 0.08 * direction):
                 break
-            way, clock, here = way + 0.08, clock + 0.08 / 0.22, here + 0.08 * direction
+            distance, clock, here = distance + 0.08, clock + 0.08 / 0.22, here + 0.08 * direction
             wheel += 0.08 / WHEEL_RADIUS_M
         segment += 1
     return np.array(pose), np.array(reading, np.int64), np.array(time), np.array(angle)

@@ -68,9 +68,9 @@ def _drive(samples: int, endpoint: bool, rng: np.random.Generator) -> tuple[np.n
         yaw += turn
         ticks = ticks + np.array([-1.0, 1.0]) * turn * ODOMETRY["track_m"] / 2.0 / M_PER_TICK
         reading.append([segment, len(pose) - 1, *np.rint(ticks)])
-        for way in [steps * SPACING_M] if endpoint else np.arange(1, steps + 1) * SPACING_M:
-            pose.append(np.array([*(place + way * direction), yaw]))
-            reading.append([segment, len(pose) - 1, *np.rint(ticks + way / M_PER_TICK)])
+        for distance in [steps * SPACING_M] if endpoint else np.arange(1, steps + 1) * SPACING_M:
+            pose.append(np.array([*(place + distance * direction), yaw]))
+            reading.append([segment, len(pose) - 1, *np.rint(ticks + distance / M_PER_TICK)])
         place, ticks, segment = (
             place + steps * SPACING_M * direction,
             ticks + steps * SPACING_M / M_PER_TICK,

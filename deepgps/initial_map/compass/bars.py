@@ -27,7 +27,7 @@ AXLE_UNKNOWNS, CAMERA_UNKNOWNS = slice(0, 4), slice(0, 6)
 class Located(NamedTuple):
     """Readings on the map."""
 
-    way: np.ndarray  # Distance of each from the beginning of its bar (n,) [m]
+    distance: np.ndarray  # Distance of each from the beginning of its bar (n,) [m]
     heading: np.ndarray  # Heading of the robot (n,) [rad]
     axle: np.ndarray  # Position of the axle's centre (n, 2) [m]
     camera: np.ndarray  # Position of the camera (n, 2) [m]
@@ -44,7 +44,7 @@ class Bars:
     last: np.ndarray  # Last reading of each bar (B,)
     segment: np.ndarray  # Segment of each bar (B,)
     scale_std: np.ndarray  # Standard deviation of the logarithm of each bar's scale (B,)
-    uneven_m2: np.ndarray  # Expected squared error of each reading's way once its bar's scale is right (r,) [m^2]
+    uneven_m2: np.ndarray  # Expected squared error of each reading's distance once its bar's scale is right (r,) [m^2]
     unknown: np.ndarray  # x, y [m], heading [rad] and logarithm of the scale of each bar (B, 4)
     shared: np.ndarray  # Curvature [1 / m], camera ahead and to the left of the axle [m] (3,)
 
@@ -66,10 +66,10 @@ class Bars:
     def locate(self, reading: np.ndarray | slice) -> Located:
         """Where readings (n,) are on the map."""
         x_y, begin, scale = np.split(self.unknown[self.row[reading]], [2, 3], axis=1)
-        way = self.along[reading] * np.exp(scale[:, 0])
-        heading = begin[:, 0] + self.shared[0] * way
-        axle = x_y + turn(begin[:, 0], follow_arc(way, self.shared[0]))
-        return Located(way, heading, axle, axle + turn(heading, np.broadcast_to(self.shared[1:], axle.shape)))
+        distance = self.along[reading] * np.exp(scale[:, 0])
+        heading = begin[:, 0] + self.shared[0] * distance
+        axle = x_y + turn(begin[:, 0], follow_arc(distance, self.shared[0]))
+        return Located(distance, heading, axle, axle + turn(heading, np.broadcast_to(self.shared[1:], axle.shape)))
 
     def move(self, step: np.ndarray) -> None:
         """Add a step (count,) to the unknowns."""
@@ -84,12 +84,12 @@ class Bars:
 
     def derive(self, reading: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Columns and values (n, 2, 6) of the derivatives of cameras' positions, to first order in the curvature."""
-        bar, (way, heading, _, camera) = self.row[reading], self.locate(reading)
+        bar, (distance, heading, _, camera) = self.row[reading], self.locate(reading)
         arm = camera - self.unknown[bar, :2]
         one = np.ones(len(reading))
         cos, sin = np.cos(heading), np.sin(heading)
-        along = way[:, None] * np.stack([cos, sin], axis=1)
-        bent = turn(self.unknown[bar, 2], np.stack([-self.shared[0] * way**3 / 3.0, way**2 / 2.0], axis=1))
+        along = distance[:, None] * np.stack([cos, sin], axis=1)
+        bent = turn(self.unknown[bar, 2], np.stack([-self.shared[0] * distance**3 / 3.0, distance**2 / 2.0], axis=1))
         values = np.stack(
             [
                 np.stack([one, -arm[:, 1], along[:, 0], bent[:, 0], cos, -sin], axis=1),
@@ -106,7 +106,7 @@ class Bars:
     def derive_heading(self, reading: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Columns and values (n, 2) of the derivatives of headings."""
         columns = np.column_stack([4 * self.row[reading] + 2, np.full(len(reading), self.unknown.size)])
-        return columns, np.column_stack([np.ones(len(reading)), self.locate(reading).way])
+        return columns, np.column_stack([np.ones(len(reading)), self.locate(reading).distance])
 
 
 def lay_out(segments: Segments, turns: CompassTurns, curvature: float) -> Bars:
@@ -187,10 +187,10 @@ def _expect_unevenness(part: np.ndarray, grown: np.ndarray, rounding_m2: float, 
     return bridge + np.where(changes[:-1] | changes[1:], 0.0, rounding)
 
 
-def follow_arc(way: np.ndarray, curvature: float) -> np.ndarray:
+def follow_arc(distance: np.ndarray, curvature: float) -> np.ndarray:
     """Places (n, 2) [m] after distances (n,) [m] along an arc that leaves the first axis for the second."""
-    half = curvature * way / 2.0
-    chord = way * np.sinc(half / np.pi)
+    half = curvature * distance / 2.0
+    chord = distance * np.sinc(half / np.pi)
     return np.stack([chord * np.cos(half), chord * np.sin(half)], axis=1)
 
 

@@ -83,12 +83,12 @@ def fit_mixture(places: np.ndarray, segments: Segments, mixture: csr_array) -> n
     """
     known = np.asarray(np.isfinite(places).all(axis=1))
     place = np.where(known[:, None], places, np.nanmean(places, axis=0))
-    a, b, way = find_steps(segments)
+    a, b, distance = find_steps(segments)
     off_mixture = kron(eye_array(len(place)) - mixture, eye_array(2)).tocsr()
     for scale in np.geomspace(*MIXTURE_SCALES_M, MIXTURE_ROUNDS):
         bar = place[a] - place[b]
         length = np.linalg.norm(bar, axis=1).clip(1e-9)
-        off, apart = length - way, (off_mixture @ place.ravel()).reshape(-1, 2)
+        off, apart = length - distance, (off_mixture @ place.ravel()).reshape(-1, 2)
         trust = MIXTURE_STD_M**-2 * (1.0 + (apart**2).sum(axis=1) / scale**2) ** -2
         weight = np.concatenate([BAR_STDS_M[1] ** -2 * (1.0 + off**2 / scale**2) ** -2, np.repeat(trust, 2)])
         none = np.empty(0, int)
@@ -106,10 +106,10 @@ def find_look_alikes(features: torch.Tensor, segments: Segments, neighbours: tup
     There is a list of pairs, each pair once, for each number of ``neighbours`` that count as nearest.
     """
     count = len(features)
-    first, second, way = (torch.from_numpy(part) for part in find_steps(segments))
+    first, second, distance = (torch.from_numpy(part) for part in find_steps(segments))
     alone = find_owners(segments, count)[1] < 0
     ends, near, apart = _compare(features, first, second, alone, min(max(neighbours), count - 1))
-    range_m, far = _fit_unlikeness(ends.double(), way)
+    range_m, far = _fit_unlikeness(ends.double(), distance)
     length = -range_m * torch.log((1.0 - (apart.double() / far) ** 2).clamp_min(1e-4))
     found = []
     for some in neighbours:
@@ -131,13 +131,13 @@ def relax_ends(places: np.ndarray, segments: Segments, closures: LoopClosures) -
     """
     known = np.asarray(np.isfinite(places).all(axis=1))
     number, place = np.cumsum(known) - 1, places[known].copy()
-    a, b, way = _among(known, number, find_steps(segments))
+    a, b, distance = _among(known, number, find_steps(segments))
     c, e, near = _among(known, number, closures)
     size = np.hypot(near, MIN_CLOSURE_STD_M)
     for scale, exact in zip(np.geomspace(*ROBUST_SCALES_M, ROUNDS), np.geomspace(*BAR_STDS_M, ROUNDS), strict=True):
         bar, apart = place[a] - place[b], place[c] - place[e]
         length = np.linalg.norm(bar, axis=1).clip(1e-9)
-        off = length - way
+        off = length - distance
         weight = np.concatenate(
             [
                 exact**-2 * (1.0 + off**2 / scale**2) ** -2,
@@ -149,7 +149,7 @@ def relax_ends(places: np.ndarray, segments: Segments, closures: LoopClosures) -
         normal = (slope.T @ weighted + diags_array(np.full(2 * len(place), ANCHOR_STD_M**-2))).tocsc()
         step = -_solve(normal, weighted.T @ np.concatenate([off, apart.ravel()])).reshape(-1, 2)
         place += step * np.minimum(1.0, MAX_STEP_M / np.linalg.norm(step, axis=1).clip(1e-9))[:, None]
-    off, apart = np.linalg.norm(place[a] - place[b], axis=1) - way, np.linalg.norm(place[c] - place[e], axis=1)
+    off, apart = np.linalg.norm(place[a] - place[b], axis=1) - distance, np.linalg.norm(place[c] - place[e], axis=1)
     off, apart = off / ERROR_UNIT_M, apart / np.hypot(near, ERROR_UNIT_M)
     cost = np.minimum(off**2, 4.0).mean() + np.minimum(apart**2, 4.0).mean()
     found = np.full_like(places, np.nan)
@@ -180,14 +180,14 @@ def _compare(
     return bars, torch.cat(near), torch.cat(apart)
 
 
-def _fit_unlikeness(unlike: torch.Tensor, way: torch.Tensor) -> tuple[float, float]:
-    far = float(unlike[way >= way.median()].median())
-    short = (way < MAX_SHORT_SEGMENT_M) & (way > 0) & (unlike < 0.97 * far)
+def _fit_unlikeness(unlike: torch.Tensor, distance: torch.Tensor) -> tuple[float, float]:
+    far = float(unlike[distance >= distance.median()].median())
+    short = (distance < MAX_SHORT_SEGMENT_M) & (distance > 0) & (unlike < 0.97 * far)
     if not short.any():
         raise InputError(
             f"learn.start 'ends': no segment is shorter than {MAX_SHORT_SEGMENT_M} m, so none tells what is near"
         )
-    return float((-way / torch.log(1.0 - (unlike / far) ** 2))[short].median()), far
+    return float((-distance / torch.log(1.0 - (unlike / far) ** 2))[short].median()), far
 
 
 def _solve(normal: csc_array, right: np.ndarray) -> np.ndarray:

@@ -94,8 +94,8 @@ def measure_overlap(
 def _usual_difference(features: torch.Tensor, segments: Segments) -> float:
     found = [torch.zeros(0)]
     for row, count in enumerate(segments.count.tolist()):
-        way = segments.distance[row, :count].numpy()
-        partner = np.searchsorted(way, way + LOOK_M)
+        distance = segments.distance[row, :count].numpy()
+        partner = np.searchsorted(distance, distance + LOOK_M)
         there = partner < count
         index = segments.index[row]
         found.append((features[index[:count][there]] - features[index[partner[there]]]).norm(dim=1))

@@ -60,9 +60,9 @@ def find_loop_closures(features: torch.Tensor, segments: Segments, neighbours: t
     near = (length < MAX_LINK * spacing) & (after[i] >= 0)
     found = []
     for count in neighbours:
-        a, b, way = i[:, :count].flatten(), j[:, :count].flatten(), length[:, :count].flatten()
+        a, b, distance = i[:, :count].flatten(), j[:, :count].flatten(), length[:, :count].flatten()
         kept = torch.isin(a * len(features) + b, b * len(features) + a) & near[:, :count].flatten()
-        found.append((a[kept].numpy(), b[kept].numpy(), way[kept].double().numpy()))
+        found.append((a[kept].numpy(), b[kept].numpy(), distance[kept].double().numpy()))
     return found
 
 
@@ -89,8 +89,8 @@ def find_axes(distance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def find_steps(segments: Segments) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """First (r,) and second (r,) observations of consecutive readings, and the distance between them (r,) [m]."""
     valid = segments.valid[:, 1:]
-    way = segments.distance[:, 1:] - segments.distance[:, :-1]
-    chosen = (segments.index[:, :-1][valid], segments.index[:, 1:][valid], way[valid].double())
+    distance = segments.distance[:, 1:] - segments.distance[:, :-1]
+    chosen = (segments.index[:, :-1][valid], segments.index[:, 1:][valid], distance[valid].double())
     return chosen[0].numpy(), chosen[1].numpy(), chosen[2].numpy()
 
 
@@ -125,13 +125,13 @@ def _find_nearest(
 
 def _rate_of_change(features: torch.Tensor, segments: Segments) -> tuple[torch.Tensor, float]:
     # How much features change per metre at each observation (N,), and the median distance between readings.
-    first, second, way = (torch.from_numpy(part) for part in find_steps(segments))
+    first, second, distance = (torch.from_numpy(part) for part in find_steps(segments))
     change = (features[first] - features[second]).norm(dim=1)
     total, length = torch.zeros(len(features)), torch.zeros(len(features))
     for end in (first, second):
         total.index_add_(0, end, change)
-        length.index_add_(0, end, way.float())
-    return (total / length.clamp_min(1e-6)).clamp_min(1e-6), measure_spacing(way.numpy())
+        length.index_add_(0, end, distance.float())
+    return (total / length.clamp_min(1e-6)).clamp_min(1e-6), measure_spacing(distance.numpy())
 
 
 def _join(first: np.ndarray, second: np.ndarray, length: np.ndarray, count: int) -> csr_array:

@@ -110,9 +110,9 @@ def lay_bars(point: np.ndarray, graph: PoseGraph) -> tuple[np.ndarray, np.ndarra
     return middle, np.arctan2(pull[1], pull[0])
 
 
-def point_along(heading: np.ndarray, graph: PoseGraph, way: np.ndarray) -> np.ndarray:
-    """Offsets (r, 2) [m] of readings that are ``way`` (r,) [m] ahead of the middle of their bars."""
-    return np.stack([np.cos(heading), np.sin(heading)], axis=1)[graph.bar] * way[:, None]
+def point_along(heading: np.ndarray, graph: PoseGraph, distance: np.ndarray) -> np.ndarray:
+    """Offsets (r, 2) [m] of readings that are ``distance`` (r,) [m] ahead of the middle of their bars."""
+    return np.stack([np.cos(heading), np.sin(heading)], axis=1)[graph.bar] * distance[:, None]
 
 
 def move_rigidly(ahead: np.ndarray) -> np.ndarray:

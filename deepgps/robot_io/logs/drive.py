@@ -250,7 +250,7 @@ def find_drive(config: RobotConfig, wheel_log: WheelLog, listed: ImageList, pose
 
 def _doubt_direction(topic: str, motions: list[Motion], path: Path) -> list[str]:
     """A note if the robot drove backward more than forward, as it seems if both wheels count backward."""
-    ahead_m, back_m = (sum(path.find_way(one) for one in motions if one.kind == kind) for kind in ("straight", "back"))
+    ahead_m, back_m = (sum(path.measure(one) for one in motions if one.kind == kind) for kind in ("straight", "back"))
     if back_m <= ahead_m:
         return []
     return [

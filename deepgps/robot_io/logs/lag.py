@@ -170,8 +170,8 @@ def _find_reversed(driven: Pairs, drive: LoggedDrive) -> str:
     A turn to the left seems to go forward if it is the left wheel, and backward if it is the right one.
     """
     time_s, travelled_m = drive.wheels.time_s, drive.path.travelled_m
-    way_m = np.interp(driven.second_s, time_s, travelled_m) - np.interp(driven.first_s, time_s, travelled_m)
-    return "left" if float(way_m @ driven.turned) > 0 else "right"
+    distance_m = np.interp(driven.second_s, time_s, travelled_m) - np.interp(driven.first_s, time_s, travelled_m)
+    return "left" if float(distance_m @ driven.turned) > 0 else "right"
 
 
 def _share_turning(turned: np.ndarray) -> float:

@@ -84,16 +84,16 @@ def plan_recording(
 
 def judge_turn(between: Sequence[Motion], wheels: Wheels, path: Path) -> int:
     """Number of the kind of turn that motions between two segments are together."""
-    way = turned = 0.0
+    distance = turned = 0.0
     for one in between:
         if one.kind == "unknown" and wheels.broken[one.first : one.last].any():
             return RELOCATED
         if one.kind not in {"rest", "turn"}:
-            way += path.find_way(one)
+            distance += path.measure(one)
             turned += abs(path.yaw[one.last] - path.yaw[one.first]) if one.kind != "back" else 0.0
-    if way <= MAX_SHIFT_M:
+    if distance <= MAX_SHIFT_M:
         return IN_PLACE
-    return BACKED_OFF if way <= NEIGHBOURHOOD_M and turned * way < MAX_SHIFT_M else RELOCATED
+    return BACKED_OFF if distance <= NEIGHBOURHOOD_M and turned * distance < MAX_SHIFT_M else RELOCATED
 
 
 def _choose(
@@ -298,7 +298,7 @@ def _sum_up(drive: LoggedDrive, kind: str) -> dict[str, float]:
     """Number, duration [s] and distance [m] of the motions of a kind."""
     some = [one for one in drive.motions if one.kind == kind]
     seconds = sum(drive.wheels.time_s[one.last] - drive.wheels.time_s[one.first] for one in some)
-    metres = sum(map(drive.path.find_way, some))
+    metres = sum(map(drive.path.measure, some))
     return {"count": len(some), "seconds": round(float(seconds), 1), "metres": round(float(metres), 2)}
 
 

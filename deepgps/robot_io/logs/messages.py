@@ -64,7 +64,7 @@ class WheelLog:
     @property
     def goes_sideways(self) -> bool:
         """Whether an odometry's path goes sideways by more than its noise does."""
-        return self._path is not None and self._path.sideways_m > MAX_SIDEWAYS_SHARE * self._path.way_m
+        return self._path is not None and self._path.sideways_m > MAX_SIDEWAYS_SHARE * self._path.distance_m
 
     def check(self) -> None:
         """Raise InputError unless there are positions of both wheels."""
@@ -125,7 +125,7 @@ class OdometryPath:
     """Angles of wheels that drive an odometry's path; each step is projected on the mean heading of its ends.
 
     Attributes:
-        way_m: Length of the path [m].
+        distance_m: Length of the path [m].
         sideways_m: What of it goes sideways, as no two wheels can drive [m].
     """
 
@@ -133,7 +133,7 @@ class OdometryPath:
         self._radius_m, self._track_m = radius_m, track_m
         self._before: tuple[float, float, float] | None = None
         self._travelled = self._turned = 0.0
-        self.way_m = self.sideways_m = 0.0
+        self.distance_m = self.sideways_m = 0.0
 
     def follow(self, x: float, y: float, yaw: float) -> tuple[float, float]:
         """Angles of the left and of the right wheel [rad] at the next pose [m], [rad]; NaN if it is not finite."""
@@ -145,7 +145,7 @@ class OdometryPath:
             step_x, step_y = x - self._before[0], y - self._before[1]
             self._travelled += step_x * math.cos(heading) + step_y * math.sin(heading)
             self._turned += turn
-            self.way_m += math.hypot(step_x, step_y)
+            self.distance_m += math.hypot(step_x, step_y)
             self.sideways_m += abs(step_y * math.cos(heading) - step_x * math.sin(heading))
         self._before = x, y, yaw
         ahead, apart = self._travelled / self._radius_m, self._turned * self._track_m / 2 / self._radius_m

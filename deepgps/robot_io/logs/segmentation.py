@@ -44,7 +44,7 @@ class Path:
     travelled_m: np.ndarray  # Distance at each message of the wheels (n,) [m]
     yaw: np.ndarray  # Heading at each (n,) [rad]
 
-    def find_way(self, motion: Motion) -> float:
+    def measure(self, motion: Motion) -> float:
         """Distance driven in a motion, forward or backward [m]."""
         return abs(float(self.travelled_m[motion.last] - self.travelled_m[motion.first]))
 
@@ -148,7 +148,7 @@ def _join(motions: list[Motion], path: Path) -> list[Motion]:
 def _leave_out_short(motions: list[Motion], kind: Kind, least_m: float, path: Path) -> list[Motion]:
     """The motions with those of a kind that are shorter than ``least_m`` as arcs."""
     return [
-        Motion("arc", one.first, one.last) if one.kind == kind and path.find_way(one) < least_m else one
+        Motion("arc", one.first, one.last) if one.kind == kind and path.measure(one) < least_m else one
         for one in motions
     ]
 
@@ -161,7 +161,7 @@ def _absorb(motions: list[Motion], path: Path) -> list[Motion] | None:
             return [*motions[:-2], Motion("straight", before.first, last.last)]
         if before.kind == "arc" and last.kind == "straight" and _is_slight(before, path):
             return [*motions[:-2], Motion("straight", before.first, last.last)]
-        short = min(path.find_way(before), path.find_way(last)) < MIN_SEGMENT_M
+        short = min(path.measure(before), path.measure(last)) < MIN_SEGMENT_M
         if before.kind == last.kind == "straight" and short and _is_one_line(before, last, path):
             return [*motions[:-2], Motion("straight", before.first, last.last)]
     if len(motions) >= 3:
@@ -175,7 +175,7 @@ def _absorb(motions: list[Motion], path: Path) -> list[Motion] | None:
 def _is_slight(motion: Motion, path: Path) -> bool:
     """Whether a motion is too short to count."""
     turned = abs(path.yaw[motion.last] - path.yaw[motion.first])
-    return turned < JOIN_RAD and path.find_way(motion) < JOIN_M
+    return turned < JOIN_RAD and path.measure(motion) < JOIN_M
 
 
 def _is_one_line(one: Motion, other: Motion, path: Path) -> bool:

@@ -190,9 +190,9 @@ def test_a_drive_whose_length_is_not_recorded_is_measured_by_the_wheels(tmp_path
     assert toy.manifest.distance_driven_m is None and toy.manifest.segments is None
     run = deepgps.train(toy.folder, ["knn"], tmp_path / "run", progress=False)
     pose, (segment, image) = open_truth(toy.folder).pose, toy.reading[:, :2].T
-    way = np.linalg.norm(np.diff(pose[image, :2], axis=0), axis=1)[np.diff(segment) == 0].sum()
+    distance = np.linalg.norm(np.diff(pose[image, :2], axis=0), axis=1)[np.diff(segment) == 0].sum()
     said = run.report().replace("\n", " ")
-    assert f"{len(pose)} observations on {len(np.unique(segment))} straight segments, {way:.0f} m driven" in said
+    assert f"{len(pose)} observations on {len(np.unique(segment))} straight segments, {distance:.0f} m driven" in said
 
 
 def test_another_recording_in_the_same_run_folder_is_refused(tmp_path: Path):

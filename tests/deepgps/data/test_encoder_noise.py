@@ -33,12 +33,12 @@ SEGMENTS, GAPS, GAP_M = 600, 25, 0.08
 def drive(encoder: EncoderSettings, seed: int = 0) -> tuple[Recording, np.ndarray]:
     """A recording of straight segments with turns between them, and the true length of each."""
     rng = np.random.default_rng(seed)
-    angle, way, place, reading, observation = [], [], np.zeros(2), [], 0
+    angle, distance, place, reading, observation = [], [], np.zeros(2), [], 0
     for segment in range(SEGMENTS):
         place = place + np.array([-1, 1]) * rng.uniform(-np.pi, np.pi) * TRACK_M / 2 / RADIUS_M + rng.uniform(0, 0.5)
         gap_m = rng.uniform(0.9, 1.1) * GAP_M  # ticks must not fit a length
         along = gap_m / RADIUS_M * np.arange(GAPS + 1)
-        way.append(GAPS * gap_m)
+        distance.append(GAPS * gap_m)
         angle.append(place + along[:, None])
         reading += [[segment, observation + number] for number in range(GAPS + 1)]
         place, observation = angle[-1][-1], observation + GAPS
@@ -47,15 +47,15 @@ def drive(encoder: EncoderSettings, seed: int = 0) -> tuple[Recording, np.ndarra
     manifest = Manifest(odometry=dict(describe_odometry(encoder, RADIUS_M, TRACK_M)))
     images = np.zeros((observation + 1, 2))
     recording = Recording(Path("made-up"), manifest, images, table, np.arange(len(table), dtype=float), images[:0])
-    return recording, np.array(way)
+    return recording, np.array(distance)
 
 
-def measure(recording: Recording, way: np.ndarray) -> np.ndarray:
+def measure(recording: Recording, distance: np.ndarray) -> np.ndarray:
     """Errors of the lengths of whole segments, as far as readings of them arrived [m]."""
     segments = read_segments(recording)
     last = (segments.count - 1)[:, None]
     between = segments.index.gather(1, last)[:, 0] - segments.index[:, 0]
-    return segments.distance.gather(1, last)[:, 0].numpy() - way * between.numpy() / GAPS
+    return segments.distance.gather(1, last)[:, 0].numpy() - distance * between.numpy() / GAPS
 
 
 @pytest.mark.parametrize(
@@ -74,19 +74,19 @@ def measure(recording: Recording, way: np.ndarray) -> np.ndarray:
     ids=["16 ticks", "4 ticks", "gaps", "slip", "one wheel", "both wheels", "stuck", "lost", "all"],
 )
 def test_segments_are_as_wrong_as_theory_expects(encoder: EncoderSettings):
-    recording, way = drive(encoder)
-    measured = np.sqrt(np.mean(measure(recording, way) ** 2))
+    recording, distance = drive(encoder)
+    measured = np.sqrt(np.mean(measure(recording, distance) ** 2))
     assert predict_rms(expect_errors(recording, read_segments(recording)), encoder) == pytest.approx(measured, rel=0.1)
 
 
 def test_a_perfect_encoder_leaves_nothing_to_expect_and_wheels_of_different_size_are_no_reason_to_doubt():
-    recording, way = drive(EncoderSettings(ticks_per_rev=65536))
+    recording, distance = drive(EncoderSettings(ticks_per_rev=65536))
     segments = expect_errors(recording, read_segments(recording))
     assert predict_rms(segments, EncoderSettings()) < 1e-5
     assert segments.variance is not None and segments.weight is not None
     assert segments.weight.eq(1.0).all() and find_inliers(segments).equal(torch.arange(len(segments.count)))
     assert weigh_pairs(segments.variance, segments.rounding_m2).min() > 0.9999
-    assert not find_wrong(segments, measure(recording, way)).any()
+    assert not find_wrong(segments, measure(recording, distance)).any()
     recording, _ = drive(EncoderSettings(radius_error_left=0.1, slip_per_m=0.01))
     weight = expect_errors(recording, read_segments(recording)).weight
     assert weight is not None and (weight < 0.5).sum() <= 1
@@ -95,11 +95,11 @@ def test_a_perfect_encoder_leaves_nothing_to_expect_and_wheels_of_different_size
 @pytest.mark.parametrize("stuck_fraction", [0.05, 0.2, 0.4])
 def test_a_wheel_that_sticks_is_found_without_the_truth(stuck_fraction: float):
     encoder = EncoderSettings(stuck_fraction=stuck_fraction, step_noise=0.1, slip_per_m=0.005, radius_error_left=0.03)
-    recording, way = drive(encoder)
+    recording, distance = drive(encoder)
     segments = expect_errors(recording, read_segments(recording))
     assert segments.weight is not None
-    steady = measure(drive(encoder.model_copy(update={"stuck_fraction": 0.0}))[0], way)
-    wrong = np.abs(measure(recording, way) - steady) > 0.2
+    steady = measure(drive(encoder.model_copy(update={"stuck_fraction": 0.0}))[0], distance)
+    wrong = np.abs(measure(recording, distance) - steady) > 0.2
     doubted = segments.weight.numpy() < 0.5
     assert wrong.sum() == pytest.approx(stuck_fraction * SEGMENTS, abs=2)
     assert doubted[wrong].all() and (doubted & ~wrong).sum() <= 3

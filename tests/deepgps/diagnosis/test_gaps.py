@@ -26,9 +26,9 @@ def drive(
         gaps.append(np.vstack([np.diff(read, axis=0), [[-0.2, 0.2]]]))
         segments.append(np.append(np.ones(20, bool), False))
         first += 1.0
-    way, inside = np.concatenate(gaps), np.concatenate(segments)
-    count = len(way)
-    return Gaps(way, np.full(count, STEP_M / SPEED), np.ones(count, int), inside, (), np.ones(count, bool), tick_m)
+    distance, inside = np.concatenate(gaps), np.concatenate(segments)
+    count = len(distance)
+    return Gaps(distance, np.full(count, STEP_M / SPEED), np.ones(count, int), inside, (), np.ones(count, bool), tick_m)
 
 
 def hold(fits: list[Fit], truth: float) -> float:
@@ -80,25 +80,25 @@ def test_the_drift_is_the_ratio_of_the_readings():
 
 def test_a_wheel_is_stuck_where_it_counts_nothing_while_the_other_one_travels():
     gaps = drive(np.random.default_rng(4))
-    way = gaps.way.copy()
-    way[200:260, 1] = 0.0
-    way[400:402, 0] = 0.0  # two gaps are no stretch
-    stretches = find_stuck(way, gaps.inside, 1, gaps.tick_m)
+    distance = gaps.distance.copy()
+    distance[200:260, 1] = 0.0
+    distance[400:402, 0] = 0.0  # two gaps are no stretch
+    stretches = find_stuck(distance, gaps.inside, 1, gaps.tick_m)
     assert [(one.first, one.last) for one in stretches] == [(200, 259)]
-    assert find_stuck(way, gaps.inside, 0, gaps.tick_m) == []
-    way[440] = [0.0, 0.5]  # a turn about one wheel
-    assert find_stuck(way, gaps.inside & (np.arange(len(way)) != 440), 0, gaps.tick_m) == []
-    stuck, low, high = measure_stuck(Gaps(**{**vars(gaps), "way": way, "stuck": tuple(stretches)}))
-    assert low <= 60 / len(way) <= high
-    assert stuck == pytest.approx(60 / len(way))
+    assert find_stuck(distance, gaps.inside, 0, gaps.tick_m) == []
+    distance[440] = [0.0, 0.5]  # a turn about one wheel
+    assert find_stuck(distance, gaps.inside & (np.arange(len(distance)) != 440), 0, gaps.tick_m) == []
+    stuck, low, high = measure_stuck(Gaps(**{**vars(gaps), "distance": distance, "stuck": tuple(stretches)}))
+    assert low <= 60 / len(distance) <= high
+    assert stuck == pytest.approx(60 / len(distance))
 
 
 def test_segments_too_short_for_a_steady_speed_tell_no_noise_of_gaps():
     for inner in (1, 2):
         rng, count = np.random.default_rng(0), 100 * (inner + 1)
         inside = np.arange(count) % (inner + 1) < inner
-        way = rng.uniform(0.1, 3.0, count)[:, None] * (1.0 + 0.1 * rng.standard_normal((count, 2)))
-        gaps = Gaps(way, way.mean(axis=1) / SPEED, np.ones(count, int), inside, (), np.ones(count, bool), 5e-5)
+        driven = rng.uniform(0.1, 3.0, count)[:, None] * (1.0 + 0.1 * rng.standard_normal((count, 2)))
+        gaps = Gaps(driven, driven.mean(axis=1) / SPEED, np.ones(count, int), inside, (), np.ones(count, bool), 5e-5)
         fit = fit_step_noise(gaps, 0.0)
         assert (fit.low, fit.high) == (0.0, 1.0)
     gaps = drive(np.random.default_rng(2))

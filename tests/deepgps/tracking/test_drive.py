@@ -35,9 +35,9 @@ def check_ways(recording: Recording) -> None:
         if observation == NO_IMAGE:
             pending = motion
         elif seen >= 0 and motion is not None:
-            way = np.hypot(*(true[observation] - true[seen])[:2])
+            distance = np.hypot(*(true[observation] - true[seen])[:2])
             allowed = 0.005 + 3.0 * np.sqrt(np.trace(motion.covariance[:2, :2]))
-            assert abs(motion.length_m - way) < allowed, (seen, observation, pending)
+            assert abs(motion.length_m - distance) < allowed, (seen, observation, pending)
         seen = max(seen, observation)
 
 

@@ -20,10 +20,10 @@ STATED_M = 0.01
 NONE = np.empty(0)
 
 
-def drive(way_m: float, spacing_m: float, times: float, turn_std: float = 0.0, seed: int = 0) -> Trail:
+def drive(distance_m: float, spacing_m: float, times: float, turn_std: float = 0.0, seed: int = 0) -> Trail:
     """The trail of a drive around a room, whose images err ``times`` as much as they state."""
     rng, trail, place, yaw = np.random.default_rng(seed), begin_trail(), np.zeros(2), 0.0
-    for step in range(int(way_m / spacing_m)):
+    for step in range(int(distance_m / spacing_m)):
         turn = np.pi / 2 if step % round(2.0 / spacing_m) == 0 else 0.0
         yaw += turn
         place = place + spacing_m * np.array([np.cos(yaw), np.sin(yaw)])
@@ -35,8 +35,8 @@ def drive(way_m: float, spacing_m: float, times: float, turn_std: float = 0.0, s
 
 
 def test_errors_are_found_after_any_way_however_badly_turns_are_known():
-    for way_m, turn_std in ((30.0, 0.0), (30.0, 0.3), (120.0, 0.02)):
-        assert find_factor(drive(way_m, 0.08, 5.0, turn_std)) == pytest.approx(5.0, rel=0.4)
+    for distance_m, turn_std in ((30.0, 0.0), (30.0, 0.3), (120.0, 0.02)):
+        assert find_factor(drive(distance_m, 0.08, 5.0, turn_std)) == pytest.approx(5.0, rel=0.4)
 
 
 def test_errors_are_found_at_any_rate_of_images():

@@ -48,8 +48,8 @@ def test_a_robot_twice_as_large_is_measured_as_such(world: RoomWorld):
 def test_its_encoder_distances_and_turns_are_right_to_a_thousandth(world: RoomWorld):
     world.place(np.zeros(3))
     run(world, 0.15, 0.0, 10.0)
-    way_m = np.hypot(*world.pose()[:2])
-    assert world.wheel_angle().mean() * world.body.wheel_radius_m == pytest.approx(way_m, rel=1e-3)
+    distance_m = np.hypot(*world.pose()[:2])
+    assert world.wheel_angle().mean() * world.body.wheel_radius_m == pytest.approx(distance_m, rel=1e-3)
     world.place(np.zeros(3))
     yaw = run(world, 0.0, 0.8, 10.0)
     left, right = world.wheel_angle()
@@ -67,10 +67,10 @@ def test_it_drives_in_a_room_and_keeps_its_own_distance_from_walls():
         segment = next_segment(world, settings.drive, rng, mode, visits)
         mode = segment.mode
         assert world.is_free(segment.pose[:, :2]).all()
-        way_m = np.linalg.norm(segment.pose[-1, :2] - segment.pose[0, :2])
+        distance_m = np.linalg.norm(segment.pose[-1, :2] - segment.pose[0, :2])
         wheels = segment.wheel_angle[-1] - segment.wheel_angle[0]
         lead_m = 1e-3 if segment.ended in TOUCH_ENDINGS else 2e-4  # a sample taken in motion runs ahead of the wheels
-        assert wheels.mean() * world.body.wheel_radius_m == pytest.approx(way_m, rel=2e-3, abs=lead_m)
+        assert wheels.mean() * world.body.wheel_radius_m == pytest.approx(distance_m, rel=2e-3, abs=lead_m)
     ours = RoomWorld(SimSettings(room=settings.room), drawn=False)
     assert world.free_space.reachable.sum() < ours.free_space.reachable.sum()
     assert clear_length(world.ranges(), world.body.radius_m) < clear_length(world.ranges(), 0.01)

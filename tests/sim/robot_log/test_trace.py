@@ -62,8 +62,8 @@ def test_wheels_and_truth_tell_the_same_way(observed):
 def test_arcs_are_driven_only_where_they_are_set(observed):
     def count_arcs(seen: Observed) -> int:
         left, right = (np.diff(seen.joint_angle, axis=0) * WHEEL_RADIUS_M).T
-        way, turn = (left + right) / 2, (right - left) / TRACK_M
-        bends = (np.abs(turn) > 0.5 * np.abs(way)) & (np.abs(turn) < 4 * np.abs(way)) & (np.abs(way) > 0.005)
+        driven, turn = (left + right) / 2, (right - left) / TRACK_M
+        bends = (np.abs(turn) > 0.5 * np.abs(driven)) & (np.abs(turn) < 4 * np.abs(driven)) & (np.abs(driven) > 0.005)
         return int((np.convolve(bends, np.ones(10)) >= 10).sum())  # half a second long
 
     assert count_arcs(observed) > 10

@@ -47,8 +47,8 @@ def test_without_faults_only_quantisation_is_left():
 
 def test_a_radius_error_scales_the_way_of_its_wheel_only():
     angle = drive()
-    way = scale_wheels(angle, 0.1, 0.0)
-    np.testing.assert_allclose(np.diff(way, axis=0), np.diff(angle, axis=0) * [1.1, 1.0])
+    distance = scale_wheels(angle, 0.1, 0.0)
+    np.testing.assert_allclose(np.diff(distance, axis=0), np.diff(angle, axis=0) * [1.1, 1.0])
 
 
 def test_gap_noise_has_the_paper_s_standard_deviation_on_each_gap():

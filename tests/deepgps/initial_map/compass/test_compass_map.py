@@ -39,16 +39,16 @@ def drive(
     tick_m: float = 0.0,
 ) -> Drive:
     """Drive; turns are wrong by ``noise`` standard deviations, each gap between readings by the fraction ``gaps``, and
-    the way driven is known in ticks."""
+    the distance driven is known in ticks."""
     rng = np.random.default_rng(seed)
     poses, rows, turned = [np.array([*ROOM_M / 2, 0.0])], [], []
     while len(rows) < segments:
         angle, steps = rng.uniform(-np.pi, np.pi), int(rng.integers(6, 30))
-        way = SPACING_M * np.arange(1, steps + 1)
+        driven = SPACING_M * np.arange(1, steps + 1)
         begin = poses[-1][2] + angle
-        yaw = begin + curvature * way
-        middle = begin + curvature * way / 2.0
-        chord = way * np.sinc(curvature * way / (2.0 * np.pi))
+        yaw = begin + curvature * driven
+        middle = begin + curvature * driven / 2.0
+        chord = driven * np.sinc(curvature * driven / (2.0 * np.pi))
         points = poses[-1][:2] + chord[:, None] * np.stack([np.cos(middle), np.sin(middle)], axis=1)
         if ((points < 0) | (points > ROOM_M)).any():
             continue
@@ -63,8 +63,8 @@ def drive(
         index[number, : len(row)] = row
         distance[number, 1 : len(row)] = np.cumsum(gap)
         if tick_m:
-            way = np.floor((distance[number, : len(row)] + rng.uniform(0.0, tick_m)) / tick_m) * tick_m
-            distance[number, : len(row)] = way - way[0]
+            driven = np.floor((distance[number, : len(row)] + rng.uniform(0.0, tick_m)) / tick_m) * tick_m
+            distance[number, : len(row)] = driven - driven[0]
         variance[number, 1 : len(row)] = (gaps * SPACING_M) ** 2 * np.arange(1, len(row))
     count = torch.tensor([len(row) for row in rows])
     tables = torch.from_numpy(index), torch.from_numpy(distance).float(), count, 0
@@ -291,10 +291,10 @@ NO_TURNS = CompassTurns(np.empty(0), np.empty(0), np.empty((0, 2)), np.empty(0))
 
 
 def lay_bar(noise: float, tick_m: float) -> Bars:
-    """One segment whose gaps are wrong by the fraction ``noise`` and whose way is known in ticks."""
-    way = SPACING_M * np.arange(READINGS)
+    """One segment whose gaps are wrong by the fraction ``noise`` and whose distance is known in ticks."""
+    distance = SPACING_M * np.arange(READINGS)
     variance = (noise * SPACING_M) ** 2 * np.arange(READINGS)
-    tables = (torch.arange(READINGS)[None], torch.from_numpy(way)[None], torch.tensor([READINGS]), 0)
+    tables = (torch.arange(READINGS)[None], torch.from_numpy(distance)[None], torch.tensor([READINGS]), 0)
     rounding_m2 = tick_m**2 / 6.0
     segments = Segments(*tables, variance=torch.from_numpy(variance)[None], rounding_m2=rounding_m2)
     bars = lay_out(segments, NO_TURNS, curvature=0.0)
@@ -304,14 +304,14 @@ def lay_bar(noise: float, tick_m: float) -> Bars:
 
 def measure_unevenness(noise: float, tick_m: float) -> np.ndarray:
     """Mean squared error (READINGS,) [m^2] of many such measurements, each scaled so that its ends are right."""
-    rng, way = np.random.default_rng(0), SPACING_M * np.arange(READINGS)
+    rng, distance = np.random.default_rng(0), SPACING_M * np.arange(READINGS)
     gap = SPACING_M * (1.0 + noise * rng.standard_normal((DRAWS, READINGS - 1)))
     measured = np.concatenate([np.zeros((DRAWS, 1)), gap.cumsum(axis=1)], axis=1)
     if tick_m:
         measured += rng.uniform(0.0, tick_m, measured.shape)
     begin, end = measured[:, :1], measured[:, -1:]
-    scaled = (measured - begin) * way[-1] / (end - begin)
-    return np.square(scaled - way).mean(axis=0)
+    scaled = (measured - begin) * distance[-1] / (end - begin)
+    return np.square(scaled - distance).mean(axis=0)
 
 
 def test_readings_of_a_bar_err_as_expected():

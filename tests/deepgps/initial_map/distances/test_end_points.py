@@ -34,8 +34,8 @@ def make_ends(count: int = 400, seed: int = 0) -> tuple[np.ndarray, Segments]:
     rng = np.random.default_rng(seed)
     place = rng.uniform(-1, 1, (count, 2))
     index = np.stack([np.arange(count - 1), np.arange(1, count)], axis=1)
-    way = np.linalg.norm(place[index[:, 1]] - place[index[:, 0]], axis=1)
-    distance = np.stack([np.zeros_like(way), way], axis=1).astype(np.float32)
+    driven = np.linalg.norm(place[index[:, 1]] - place[index[:, 0]], axis=1)
+    distance = np.stack([np.zeros_like(driven), driven], axis=1).astype(np.float32)
     return place, Segments(torch.from_numpy(index), torch.from_numpy(distance), torch.full((count - 1,), 2), 0)
 
 

@@ -99,11 +99,11 @@ def test_an_optical_centre_that_is_off_shifts_the_round_image():
 
 
 def test_the_way_driven_has_its_middle_at_the_state_and_leads_ahead():
-    yaw, way = 0.7, 0.1
+    yaw, distance = 0.7, 0.1
     state = np.array([1.0, -2.0, 0.03, np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2), 5.0, 6.0])
-    states = drive_on(state, way)
+    states = drive_on(state, distance)
     assert len(states) == FRAMES
     np.testing.assert_allclose(states.mean(axis=0), state)
     np.testing.assert_allclose(states[:, 2:], np.tile(state[2:], (FRAMES, 1)))
     step = np.diff(states[:, :2], axis=0)
-    np.testing.assert_allclose(step, np.tile(way / FRAMES * np.array([np.cos(yaw), np.sin(yaw)]), (FRAMES - 1, 1)))
+    np.testing.assert_allclose(step, np.tile(distance / FRAMES * np.array([np.cos(yaw), np.sin(yaw)]), (FRAMES - 1, 1)))
