@@ -176,7 +176,7 @@ def _describe_maps(methods: Mapping[str, Any]) -> list[str]:
 def _describe_leans(methods: Mapping[str, Any]) -> list[str]:
     """How the camera leans, in training and deployment, by the first method that measures it, if it does so visibly."""
     trained = next((values for values in methods.values() if "lean_roll_deg" in values), {})
-    places = {"training": trained, "use": trained.get("in_use", {})}
+    places = {"training": trained, "deployment": trained.get("in_use", {})}
     leans = {
         where: (values["lean_roll_deg"], values["lean_pitch_deg"])
         for where, values in places.items()

@@ -105,7 +105,7 @@ def test_what_is_printed_fits_eighty_columns_and_keeps_its_units(tmp_path: Path,
         accept_some(values)
         values["in_use"] = {"rms_m": 0.05, "median_m": 0.02}
     text = print_at_80(tmp_path, metrics)
-    assert "[cm]" in text and "in deployment [cm]:" in text.replace("\n", " ").replace("  ", " ")
+    assert "[cm]" in text and "deployment drive [cm]:" in text.replace("\n", " ").replace("  ", " ")
     assert "…" not in text and "my [/x]" in text, "brackets in the name of a method are no markup"
     assert "0.82 %" in text
 
@@ -164,6 +164,6 @@ def test_what_is_accepted_and_what_a_map_expects_are_told(metrics: dict) -> None
         "Accepted images (places): DeepGPS 98.1 % (99.4 %); mine 98.1 % (99.4 %).",
         "Accepted images within their 68 % radius (95 %): DeepGPS 66 % (94 %); mine 66 % (94 %).",
         "RMS error of 0.28 cm",
-        "in deployment [cm]: mine 5.0 (2.0), of the 98.1 % accepted 1.1 (1.1).",
+        "of the deployment drive [cm]: mine 5.0 (2.0), of the 98.1 % accepted 1.1 (1.1).",
     ):
         assert part in " ".join(said)
