@@ -13,7 +13,7 @@ setup-dev:  ## the same, and what tests, checks and the extras need
 	@.ci/setup dev
 
 demo: setup  ## the whole chain on a living room: drive, see, learn, position, show
-	$(BIN)/deepgps run living_room
+	$(BIN)/deepgps run demo
 
 tiny: setup  ## the same, small
 	$(BIN)/deepgps run tiny

@@ -5,12 +5,12 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "lines of sim and deepgps": 41_250,
-    "files of sim and deepgps": 280,
-    "lines of tests": 28_285,
+    "lines of sim and deepgps": 42_150,
+    "files of sim and deepgps": 281,
+    "lines of tests": 28_480,
     "Python files directly in deepgps": 2,
     "words of decisions": 6_000,
-    "words of all other pages by hand": 18_700,
+    "words of all other pages by hand": 19_150,
     "words of the reference that the code does not say": 3_400,
     "words of published results": 8_000,
 }

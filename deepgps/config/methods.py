@@ -21,6 +21,9 @@ class Method:
         title: Its name in reports.
         colour: Colour of its lines in figures, "#rrggbb".
         alignment: Transform that evaluation fits: E2 if the method has a mirror ambiguity, else SE2.
+        map: Where the positions come from that it learns: a map by compass, by distances alone, dead reckoning, labels
+            (tags', or the truth), or "own".
+        estimator: How it finds an image's position on the map.
         fit: The function that trains it, or its name "module:function"; it takes a recording, settings, a seed, the
             method's folder and a progress callback, and returns a positioner with a record of its training.
         observes: The only kind of observation it takes; None: any.
@@ -35,6 +38,8 @@ class Method:
     colour: str
     alignment: AlignmentKind
     fit: str | Callable[..., Any]
+    map: str = "own"
+    estimator: str = "own"
     observes: ObservationKind | None = None
     in_steps: bool = True
     reads_ticks: bool = True
@@ -43,40 +48,109 @@ class Method:
 
 
 METHODS: dict[str, Method] = {
-    "deepgps_compass": Method(
-        "DeepGPS, compass", "#003f8c", "SE2", "deepgps.methods.variants:fit_compass", "polar_image", reads_turns=True
+    "registration": Method(
+        "Registration",
+        "#b3003b",
+        "SE2",
+        "deepgps.methods.registration:fit",
+        "compass",
+        "registration",
+        observes="polar_image",
+        in_steps=False,
+        reads_turns=True,
     ),
-    "deepgps": Method("DeepGPS", "#0b62d6", "E2", "deepgps.methods.deepgps:fit"),
-    "deepgps_noise_aware": Method("DeepGPS, noise-aware", "#00a3b4", "E2", "deepgps.methods.variants:fit_noise_aware"),
-    "deepgps_with_turns": Method("DeepGPS, with turns", "#7048e8", "SE2", "deepgps.methods.variants:fit_with_turns"),
-    "posenet": Method("PoseNet", "#e07b00", "SE2", "deepgps.methods.baselines:fit_posenet", reads_ticks=False),
-    "posenet_noisy": Method(
-        "PoseNet, noisy labels", "#b8860b", "SE2", "deepgps.methods.baselines:fit_posenet_noisy", reads_ticks=False
+    "deepgps_compass": Method(
+        "DeepGPS, compass",
+        "#003f8c",
+        "SE2",
+        "deepgps.methods.variants:fit_compass",
+        "compass",
+        "network",
+        observes="polar_image",
+        reads_turns=True,
+    ),
+    "registration_distances": Method(
+        "Registration, distances alone",
+        "#e0559b",
+        "E2",
+        "deepgps.methods.registration:fit_distances",
+        "distances",
+        "registration",
+        in_steps=False,
+    ),
+    "deepgps": Method("DeepGPS", "#0b62d6", "E2", "deepgps.methods.deepgps:fit", "distances", "network"),
+    "deepgps_noise_aware": Method(
+        "DeepGPS, noise-aware", "#00a3b4", "E2", "deepgps.methods.variants:fit_noise_aware", "distances", "network"
+    ),
+    "deepgps_with_turns": Method(
+        "DeepGPS, with turns", "#7048e8", "SE2", "deepgps.methods.variants:fit_with_turns", "wheels", "network"
     ),
     "explicit": Method(
-        "Explicit positioning", "#7a4fbf", "E2", "deepgps.methods.explicit:fit", observes="vector", in_steps=False
+        "Explicit positioning",
+        "#7a4fbf",
+        "E2",
+        "deepgps.methods.explicit:fit",
+        "distances",
+        "trilateration",
+        observes="vector",
+        in_steps=False,
     ),
     "explicit_mds": Method(
         "Explicit, from MDS",
         "#4b5563",
         "E2",
         "deepgps.methods.explicit:fit_from_mds",
+        "distances",
+        "trilateration",
         observes="vector",
         in_steps=False,
     ),
+    "dead_reckoned_labels": Method(
+        "Odometry labels", "#c2255c", "SE2", "deepgps.methods.baselines:fit_dead_reckoned", "wheels", "network"
+    ),
+    "registration_labels": Method(
+        "Registration, labels",
+        "#f29a2e",
+        "SE2",
+        "deepgps.methods.baselines:fit_registration",
+        "labels",
+        "registration",
+        in_steps=False,
+        reads_ticks=False,
+    ),
+    "posenet": Method(
+        "PoseNet", "#e07b00", "SE2", "deepgps.methods.baselines:fit_posenet", "labels", "network", reads_ticks=False
+    ),
+    "posenet_noisy": Method(
+        "PoseNet, noisy labels",
+        "#b8860b",
+        "SE2",
+        "deepgps.methods.baselines:fit_posenet_noisy",
+        "labels",
+        "network",
+        reads_ticks=False,
+    ),
     "knn": Method(
-        "Nearest neighbour", "#1a936f", "SE2", "deepgps.methods.baselines:fit_knn", in_steps=False, reads_ticks=False
+        "Nearest neighbour",
+        "#1a936f",
+        "SE2",
+        "deepgps.methods.baselines:fit_knn",
+        "labels",
+        "nearest image",
+        in_steps=False,
+        reads_ticks=False,
     ),
     "pca_knn": Method(
         "PCA + nearest neighbour",
         "#6b8e23",
         "SE2",
         "deepgps.methods.baselines:fit_pca_knn",
+        "labels",
+        "nearest scan",
         observes="scan",
         in_steps=False,
         reads_ticks=False,
     ),
-    "dead_reckoned_labels": Method("Odometry labels", "#c2255c", "SE2", "deepgps.methods.baselines:fit_dead_reckoned"),
 }
 """The methods in the order of figures. Scenarios and studies can name every method that is added here.
 

@@ -149,7 +149,7 @@ def predict(
     deployed, lean = adapt(positioner, deployment)
     cells, headings = recording.test_observation.shape[:2]
     images = recording.test_observation.reshape(cells * headings, *recording.test_observation.shape[2:])
-    training, poses = positioner(recording.observation), find_poses(deployed, images)
+    training, poses = positioner.locate_training(recording.observation), find_poses(deployed, images)
     check_predicted(folder, np.concatenate([training, poses.position]))
     return Predictions(training, poses, positioner, deployed, lean)
 

@@ -79,7 +79,7 @@ def _judge_method(
     folder: Path, recording: Recording, held_out: Recording | None, device: torch.device
 ) -> dict[str, Any]:
     positioner = load_positioner(folder, device)
-    place = positioner(recording.observation)
+    place = positioner.locate_training(recording.observation)
     check_predicted(folder, place)
     found: dict[str, Any] = {
         "segments": judge_segments(place, recording),  # Figures of the segments trained on

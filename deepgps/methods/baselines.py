@@ -21,6 +21,8 @@ from deepgps.learning.batches import Batch
 from deepgps.learning.networks import count_parameters
 from deepgps.learning.trainer import make_generator, train
 from deepgps.learning.training_data import TrainingData, new_network, prepare
+from deepgps.methods.registration import finish, learn
+from deepgps.positioner.heading_fit import fit_lines
 from deepgps.positioner.positioner import Fitted, NeighbourPositioner, as_positioner
 from deepgps.positioner.without_features import ScanPositioner
 from deepgps.terminal.progress import Report
@@ -175,3 +177,14 @@ def fit_posenet_noisy(
     place = place.float() + LABEL_NOISE_M * noise
     data = prepare(recording, settings, seed, folder.parent)
     return fit_positions(data, index, place, settings, seed, folder, progress)
+
+
+def fit_registration(
+    recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report
+) -> Fitted:
+    """Registration on labels, or on true positions if the recording has no labels."""
+    data, start = prepare(recording, settings, seed, folder.parent), time.perf_counter()
+    index, label = read_places(recording)
+    places = np.full((len(recording.observation), 2), np.nan)
+    places[index.numpy()] = label.numpy()
+    return finish(learn(data, places, fit_lines(recording, places).heading), start, progress, folder)

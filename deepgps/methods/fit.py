@@ -20,6 +20,7 @@ from deepgps.methods.deepgps import remove_leftovers
 from deepgps.positioner.confidence_fit import make_confidence
 from deepgps.positioner.heading_fit import make_headings
 from deepgps.positioner.positioner import FeaturePositioner, Fitted, Positioner
+from deepgps.positioner.registration import RegistrationPositioner
 from deepgps.positioner.stored_positioner import is_finished, load_positioner, save_positioner
 from deepgps.positioner.without_features import ArrayPositioner
 from deepgps.terminal.progress import Report, ignore
@@ -63,7 +64,7 @@ def fit_method(
 
 def learn_headings(positioner: Any, recording: Recording, folder: Path) -> Any:
     """The positioner with a table of headings from its own map, if it takes polar images."""
-    if recording.kind != "polar_image" or not isinstance(positioner, FeaturePositioner):
+    if recording.kind != "polar_image" or not _needs_tables(positioner):
         return positioner
     positions = positioner(recording.observation)  # the camera's, since there is no yaw yet
     if positioner.upright is not None:
@@ -80,7 +81,7 @@ def learn_confidence(
     ``mapped`` is the map from which its training started, if that is known with its errors, ``undecided`` (N,) bool the
     observations that may lie elsewhere on its map, and ``reads_ticks`` whether it learned from the encoders.
     """
-    if not isinstance(positioner, FeaturePositioner):
+    if not _needs_tables(positioner):
         return positioner
     segments, (camera, features) = read_segments(recording), positioner.locate_with_features(recording.observation)
     if not reads_ticks:  # images are evenly spaced
@@ -88,3 +89,7 @@ def learn_confidence(
     map_std = None if mapped is None else mapped.expected / np.sqrt(2.0)
     table = make_confidence(segments, features, camera, map_std, undecided)
     return positioner if table is None else replace(positioner, confidence=table)
+
+
+def _needs_tables(positioner: Any) -> bool:
+    return isinstance(positioner, FeaturePositioner) and not isinstance(positioner, RegistrationPositioner)

@@ -90,21 +90,28 @@ MIN_MOUNT_M, MIN_MOUNT_DEVIATIONS = 0.005, 3.0
 """A camera that is nearer to the axle than this [m], or than so many standard deviations, is taken to be on it."""
 
 
-def fit_compass(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
-    """Train DeepGPS from the map by the compass, which also determines the chirality.
-
-    Images of a camera that leans are set upright first.
-    """
+def map_by_compass(
+    recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report
+) -> tuple[TrainingData, CompassTurns, CompassMap, dict[str, Any]]:
+    """The data set upright, its turns and its map by compass, and the record of the wheels' diagnosis."""
     recording, record = take_diagnosed(recording, folder.parent)
     turns = measure_turns(recording)
     assert turns.upright is not None
     data = prepare(recording, settings, seed, folder.parent, ignore_small(turns.upright))
     data = replace(data, segments=expect_errors(recording, data.segments))
-
     progress("compass: initial map", 0, 1)
     found = make_compass_map(data, turns, seed)
     write_map(folder, found, data.segments, turns)
     progress("compass: initial map", 1, 1)
+    return data, turns, found, {**describe_lean(turns.upright.lean), "map": describe_map(found), **record}
+
+
+def fit_compass(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
+    """Train DeepGPS from the map by the compass, which also determines the chirality.
+
+    Images of a camera that leans are set upright first.
+    """
+    data, turns, found, record = map_by_compass(recording, settings, seed, folder, progress)
 
     def start_from_compass(
         features: torch.Tensor, segments: Segments, start: Start, seed: int, number: int
@@ -128,7 +135,7 @@ def fit_compass(recording: Recording, settings: LearnSettings, seed: int, folder
     assert isinstance(fitted.positioner, NetworkPositioner)
     if fitted.training["attempt"] == 0:  # others did not begin with this map, and may be mirrored
         fitted = fitted._replace(positioner=replace(fitted.positioner, mount=find_mount(found)))
-    return fitted.note({**describe_lean(turns.upright.lean), "map": describe_map(found), **record})
+    return fitted.note(record)
 
 
 def make_compass_map(data: TrainingData, turns: CompassTurns, seed: int) -> CompassMap:

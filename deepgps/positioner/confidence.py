@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from deepgps.positioner.heading_fit import thin_out
-from deepgps.positioner.headings import find_nearest
+from deepgps.positioner.kriging import find_nearest
 
 CELL_M = 0.05  # The table has one image for each square of the map with sides of this length [m]
 COMPONENTS = 64  # Features that are compared, the slowest; more tell no more

@@ -10,7 +10,8 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from deepgps.data.segments import find_runs
-from deepgps.positioner.headings import HeadingTable, correlate, find_nearest, take_phases
+from deepgps.positioner.headings import HeadingTable, correlate, take_phases
+from deepgps.positioner.kriging import find_nearest
 from sim.geometry import wrap
 from sim.recording.format import Recording
 

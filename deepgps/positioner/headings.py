@@ -15,6 +15,7 @@ import numpy as np
 from scipy import fft
 from scipy.spatial import KDTree
 
+from deepgps.positioner.kriging import find_nearest
 from sim.geometry import wrap
 from sim.sensors.compass_fit import CUTOFF, HIGH_PASS_CYCLES
 from sim.sensors.visual_compass import MATCH_FLOOR, MIN_CONTRAST, find_highest
@@ -188,13 +189,6 @@ def correlate(known: np.ndarray, phases: np.ndarray) -> tuple[np.ndarray, np.nda
     )
     angle, height = find_highest(curve, 2)
     return angle, np.maximum(height, -1.0)
-
-
-def find_nearest(tree: KDTree, places: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Distance [m] and number of the nearest of a tree's places for each of (B, 2) [m], both (B, at most count)."""
-    count = min(count, tree.n)
-    distance, index = tree.query(places, count)
-    return np.reshape(distance, (-1, count)), np.reshape(index, (-1, count))
 
 
 def _find_mode(angle: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from deepgps.positioner.positioner import FeaturePositioner, Positioner
+from deepgps.positioner.registration import RegistrationPositioner
 from sim.alignment import Alignment
 
 
@@ -36,11 +37,22 @@ class Poses:
     # Whether the novelty is one that images of the drive have (B,) bool; positions of the others should not be used.
     # None: the method accepts all
     accepted: np.ndarray | None = None
+    # By registration alone: why each is refused (B,), a number in ``REASONS``; the covariance (B, 2, 2) [m^2] that the
+    # image gives; positions that explain it as well or nearly, the best first (B, M, 2) [m], NaN where there is none;
+    # and the probability of each (B, M)
+    reason: np.ndarray | None = None
+    covariance: np.ndarray | None = None
+    mode: np.ndarray | None = None
+    mode_weight: np.ndarray | None = None
 
     def align(self, alignment: Alignment) -> "Poses":
         """The same poses in the frame that an alignment leads to."""
         yaw, other = (None if one is None else alignment.turn(one) for one in (self.yaw, self.other_yaw))
-        return replace(self, position=alignment.apply(self.position), yaw=yaw, other_yaw=other)
+        aligned = replace(self, position=alignment.apply(self.position), yaw=yaw, other_yaw=other)
+        if self.mode is None or self.covariance is None:
+            return aligned
+        turned = alignment.rotation @ self.covariance @ alignment.rotation.T
+        return replace(aligned, mode=alignment.apply(self.mode), covariance=turned)
 
     def take(self, index: int | np.ndarray) -> "Poses":
         """One of the poses, without the axis B, or some."""
@@ -49,6 +61,8 @@ class Poses:
 
 def find_poses(positioner: Positioner, observations: np.ndarray) -> Poses:
     """Poses of observations (B, ...) in the method's own frame."""
+    if isinstance(positioner, RegistrationPositioner):
+        return _register(positioner, observations)
     if not isinstance(positioner, FeaturePositioner):
         return Poses(positioner(observations))
     if (table := positioner.confidence) is None:
@@ -62,6 +76,34 @@ def find_poses(positioner: Positioner, observations: np.ndarray) -> Poses:
         accepted=trust.accepted,
         radius_68=trust.radius[:, 0] if known else None,
         radius_95=trust.radius[:, 1] if known else None,
+    )
+
+
+def _register(positioner: RegistrationPositioner, observations: np.ndarray) -> Poses:
+    found = positioner.register(observations)
+    radius, trace = positioner.find_radii(found), np.trace(found.covariance, axis1=1, axis2=2)
+    yaws = {}
+    if positioner.pixels is not None:
+        one, none = np.ones(len(found.yaw)), np.full(len(found.yaw), np.nan)
+        yaws = {
+            "yaw": found.yaw,
+            "yaw_std": found.yaw_std,
+            "yaw_weight": one,
+            "other_yaw": none,
+            "other_weight": 0.0 * one,
+        }
+    return Poses(
+        positioner.leave_camera(found.position, found.yaw),
+        np.sqrt(trace / 2.0),
+        novelty=np.sqrt(trace),
+        radius_68=radius[:, 0],
+        radius_95=radius[:, 1],
+        accepted=found.reason == 0,
+        reason=found.reason,
+        covariance=found.covariance,
+        mode=found.mode,
+        mode_weight=found.weight,
+        **yaws,
     )
 
 

@@ -53,6 +53,10 @@ class Positioner(ABC):
         """Positions of the camera (B, 2) float64 [m]."""
         return self(observations)
 
+    def locate_training(self, observations: np.ndarray) -> np.ndarray:
+        """Positions (N, 2) float64 [m] of all training observations (N, ...)."""
+        return self(observations)
+
     @abstractmethod
     def pack(self) -> Packed:
         """All but the two tables as tensors and as what JSON holds."""
@@ -200,7 +204,7 @@ class NetworkPositioner(FeaturePositioner):
             network.eval(),
             tensors["centre"],
             tensors["axes"],
-            upright=_read_upright(numbers.get("upright")),
+            upright=read_upright(numbers.get("upright")),
             mount=(float(ahead), float(left)),
             likeness=likeness and unpack_features(Packed(tensors, {**numbers, **likeness}), "likeness"),
         )
@@ -249,7 +253,8 @@ class NeighbourPositioner(FeaturePositioner):
         return (weight[..., None] * self.places[nearest.indices]).sum(dim=1).numpy()
 
 
-def _read_upright(stored: Mapping[str, Any] | None) -> Upright | None:
+def read_upright(stored: Mapping[str, Any] | None) -> Upright | None:
+    """What sets images upright, as a positioner packs it."""
     if stored is None:
         return None
     (roll, pitch), (right, ahead), (k1, k2, k3, k4) = stored["lean"], stored["parallax"], stored["lens"]["k"]

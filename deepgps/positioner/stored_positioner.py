@@ -15,6 +15,7 @@ from safetensors.torch import load_file, save
 from deepgps.positioner.confidence import Confidence
 from deepgps.positioner.headings import HeadingTable
 from deepgps.positioner.positioner import CPU, NeighbourPositioner, NetworkPositioner, Packed, Positioner
+from deepgps.positioner.registration import RegistrationPositioner
 from deepgps.positioner.without_features import ArrayPositioner, LandmarkPositioner, ScanPositioner
 from sim.errors import DamagedError, InputError, WorkError, one_line
 from sim.files.atomic import write_bytes
@@ -25,7 +26,14 @@ TABLES = {"yaw": ("headings", HeadingTable), "confidence": ("confidence", Confid
 """Entries of the description for tables, with the attributes whose names begin those of their arrays."""
 KINDS = {
     one.kind: one
-    for one in (NetworkPositioner, NeighbourPositioner, ScanPositioner, LandmarkPositioner, ArrayPositioner)
+    for one in (
+        RegistrationPositioner,
+        NetworkPositioner,
+        NeighbourPositioner,
+        ScanPositioner,
+        LandmarkPositioner,
+        ArrayPositioner,
+    )
 }
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from rich.console import Console
 
-from deepgps.config.methods import title_of
+from deepgps.config.methods import METHODS, title_of
 from deepgps.evaluation.error_field import REPAIR_HINT
 from deepgps.reports import table
 from deepgps.reports.table import Column, fill, write_hundredths
@@ -50,14 +50,16 @@ def read_metrics(run: Path) -> dict[str, Any]:
 
 
 def tabulate(metrics: Mapping[str, Any], columns: Sequence[Column] = COLUMNS) -> tuple[Row, list[Row]]:
-    """Headings and one row per method, with a dash for a figure that a method does not have.
+    """Headings and one row per method, by the map that it learns, with a dash for a figure that it does not have.
 
     Below the row of a method that refuses images is one with the same errors of what it accepts.
     """
     has_yaw = any("yaw_rms_deg" in values for values in metrics["methods"].values())
     columns = [column for column in columns if column[1] != "yaw_rms_deg" or has_yaw]
     headings = ("method", *(heading for heading, _, _ in columns))
-    return headings, [row for name, values in metrics["methods"].items() for row in _rows(name, values, columns)]
+    methods, order = metrics["methods"], list(METHODS)
+    names = sorted(methods, key=lambda name: order.index(name) if name in order else len(order))
+    return headings, [row for name in names for row in _rows(name, methods[name], columns)]
 
 
 def read_times(run: Path, metrics: Mapping[str, Any]) -> dict[str, float]:

@@ -13,12 +13,12 @@ from sim.errors import InputError
 from sim.recording.format import open_recording
 
 EXPLICIT = sorted(name for name, method in METHODS.items() if method.observes == "vector")
-QUICK = ("deepgps", "knn")
+QUICK = ("deepgps", "knn", "registration", "registration_distances")
 IMAGES = sorted(name for name, method in METHODS.items() if method.observes in {None, "polar_image"})
 
 
 def test_a_method_that_does_not_exist_is_refused_with_those_that_do():
-    with pytest.raises(InputError, match=r"methods 'posent': must be 'deepgps_compass', .* or 'dead_reckoned_labels'"):
+    with pytest.raises(InputError, match=r"methods 'posent': must be 'registration', .* or 'pca_knn'"):
         load_scenario("tiny", {"methods": ["deepgps", "posent"]})
 
 

@@ -1,0 +1,216 @@
+"""Registration on a map by compass or by distances alone.
+
+No step of training: the features of the training images, whitened by what their neighbours do not predict, and their
+pixels are kept with their positions on the map. Errors are calibrated on images of which the own segments are left out.
+"""
+
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+
+from deepgps.config.learning import LearnSettings
+from deepgps.data.encoder_noise import find_inliers
+from deepgps.data.features import Features
+from deepgps.data.segments import find_held_out, find_owners, spread_evenly
+from deepgps.learning.training_data import TrainingData, prepare
+from deepgps.methods.deepgps import choose_start, make_initial_map
+from deepgps.methods.variants import find_mount, map_by_compass
+from deepgps.positioner.heading_fit import fit_lines
+from deepgps.positioner.kriging import KERNELS, Kernel, choose_kernel, find_others, krige
+from deepgps.positioner.pixels import KnownPixels, grey, turn
+from deepgps.positioner.positioner import Fitted
+from deepgps.positioner.registration import ALL_ROUNDS, Calibration, RegistrationPositioner, fuse
+from deepgps.terminal.progress import Report
+from sim.errors import InputError
+from sim.geometry import wrap
+from sim.recording.format import Recording
+
+NOISE_IMAGES, CALIBRATION_IMAGES = 3000, 1500
+"""Images without their own segments from which the noise is learned, and on which errors are calibrated, at most."""
+TRIAL_IMAGES, ROUNDING_M = 600, 0.001
+"""Images on which kernels are tried; a distance to their positions that does not matter [m]."""
+MIN_CALIBRATION_IMAGES = 50  # With fewer on segments held out, all are calibrated on
+TRUSTED_SHARE, SHRINKAGE = 0.95, 0.1
+"""Share of the smallest errors from which the noise is learned; weight of its diagonal alone."""
+MIN_NOISE = 0.1  # Least noise of a ring, over the mean of all
+LIKE_SHARE, MARGIN = 0.99, 4.0
+"""An image is unlike others if it exceeds this share of the left-out images by this factor."""
+NORMAL_MEDIAN = np.log(2.0)  # Median of the squared length of a normal vector in the plane, over its mean
+UNCALIBRATED = Calibration(1.0, 1.0, np.inf, np.inf, 1.0, (1.0, 1.0), 1.0)
+
+
+def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
+    """Learn on the map by compass."""
+    start = time.perf_counter()
+    data, _, found, record = map_by_compass(recording, settings, seed, folder, progress)
+    places = np.where(found.undecided[:, None], np.nan, found.places)
+    positioner = learn(data, places, found.heading, found.std)
+    return finish(replace(positioner, mount=find_mount(found)), start, progress, folder).note(record)
+
+
+def fit_distances(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
+    """Learn on the map from distances along segments alone; headings are the segments' directions on it."""
+    data, start = prepare(recording, settings, seed, folder.parent), time.perf_counter()
+    if (kind := choose_start(settings, data.segments)) == "lifting":
+        raise InputError("registration_distances: a map needs segments with more than two readings each")
+    segments = data.segments.take(find_inliers(data.segments))
+    progress(f"{folder.name}: initial map", 0, 1)
+    places = make_initial_map(data.features, segments, kind, seed, 0)[0].numpy()
+    return finish(learn(data, places, fit_lines(recording, places).heading), start, progress, folder)
+
+
+def finish(positioner: RegistrationPositioner, start: float, progress: Report, folder: Path) -> Fitted:
+    """The learned positioner with the record of its learning, which began at ``start`` [s]."""
+    progress(folder.name, 1, 1)
+    stored = sum(tensor.numel() for tensor in positioner.pack().tensors.values())
+    return Fitted(positioner, {"steps": 0, "train_s": round(time.perf_counter() - start, 1), "parameters": stored})
+
+
+def learn(
+    data: TrainingData, places: np.ndarray, heading: np.ndarray, std: np.ndarray | None = None
+) -> RegistrationPositioner:
+    """Learn what is seen where.
+
+    Args:
+        data: Features, observations and segments.
+        places: Positions of the N observations on the map (N, 2) [m]; NaN: unknown.
+        heading: Their headings (N,) [rad]; NaN: unknown.
+        std: Standard deviation of each position along one axis (N,) [m]; None: unknown.
+
+    Raises:
+        InputError: No observation has a position, or none has others around it that are on other segments.
+    """
+    placed, directed = np.isfinite(places[:, 0]), np.isfinite(heading)
+    has_pixels = data.observation.ndim == 4 and bool((placed & directed).any())
+    index = np.flatnonzero(placed & directed if has_pixels else placed)
+    places, heading = places[index], heading[index]
+    first, last = (owner.numpy()[index] for owner in find_owners(data.segments, len(placed)))
+    fresh = find_held_out(data.segments, len(placed)).numpy()[index]  # features were not fitted to these
+    left_out = leave_out(places, first, last, np.flatnonzero(~fresh), NOISE_IMAGES)
+    if not len(left_out.sample):
+        raise InputError("too few segments pass one another, so what is seen between them cannot be predicted")
+    checked = leave_out(places, first, last, np.flatnonzero(fresh), CALIBRATION_IMAGES)
+    if len(checked.sample) < MIN_CALIBRATION_IMAGES:
+        checked = left_out
+    features, kernel, projection = whiten(data, index, places, left_out)
+    pixels, chirality = None, 1
+    if has_pixels:
+        small = np.concatenate([grey(data.observation[part]) for part in np.array_split(index, -(-len(index) // 500))])
+        pixels, chirality = learn_pixels(small, places, heading, kernel, left_out)
+    positioner = RegistrationPositioner(
+        projection,
+        features,
+        places,
+        index,
+        np.zeros(len(index)) if std is None else std[index],
+        kernel,
+        UNCALIBRATED,
+        pixels,
+        chirality,
+        upright=data.upright,
+    )
+    positioner = replace(positioner, kernel=choose_kernel_by_errors(positioner, left_out))
+    images = data.observation[index[checked.sample]]
+    return replace(positioner, calibration=calibrate(positioner, images, heading[checked.sample], checked))
+
+
+class LeftOut(NamedTuple):
+    """Observations that are predicted without their own segments."""
+
+    sample: np.ndarray  # Their numbers (n,)
+    others: np.ndarray  # The nearest of other segments (n, k)
+
+
+def leave_out(places: np.ndarray, first: np.ndarray, last: np.ndarray, rows: np.ndarray, count: int) -> LeftOut:
+    """At most ``count`` of the observations ``rows`` (n,) with those around them; arguments as in ``find_others``."""
+    sample = rows[spread_evenly(len(rows)).numpy() < count / max(1, len(rows))]
+    others, enough = find_others(places, first, last, sample)
+    return LeftOut(sample[enough], others[enough])
+
+
+def whiten(
+    data: TrainingData, index: np.ndarray, places: np.ndarray, left_out: LeftOut
+) -> tuple[np.ndarray, Kernel, Features]:
+    """Features of observations ``index`` (n,) such that errors of prediction are white, their kernel and projection."""
+    sample, others = left_out
+    features = data.features.numpy()[index]
+    kernel = choose_kernel(places, features, sample, others)
+    weights = krige(places[sample], places, others, kernel)
+    error = (features[sample] - weights.predict(features)[0]) / np.sqrt(weights.variance)[:, None]
+    size = np.square(error).sum(axis=1)
+    error = error[size <= np.quantile(size, TRUSTED_SHARE)].astype(float)
+    noise = error.T @ error / len(error)
+    diagonal = noise.diagonal() + 1e-9 * noise.diagonal().mean()
+    noise = (1.0 - SHRINKAGE) * noise + SHRINKAGE * np.diag(diagonal)
+    white = np.linalg.inv(np.linalg.cholesky(noise)).T.astype(np.float32)
+    basis = data.projection.basis @ torch.from_numpy(white)
+    return features @ white, kernel, replace(data.projection, basis=basis)
+
+
+def learn_pixels(
+    images: np.ndarray, places: np.ndarray, heading: np.ndarray, kernel: Kernel, left_out: LeftOut
+) -> tuple[KnownPixels, int]:
+    """The pixels of grey images (n, R, S), and the map's chirality: with the right one, images side by side agree."""
+    weights = krige(places[left_out.sample], places, left_out.others, kernel)
+    found = []
+    for chirality in (1, -1):
+        turned = np.empty(images.shape, np.uint8)
+        for part in np.array_split(np.arange(len(images)), -(-len(images) // 500)):
+            angle = chirality * (heading[part] - heading[0])
+            turned[part] = np.rint(turn(images[part].astype(float), angle)[0]).clip(0, 255)  # rounds alike in any frame
+        flat = turned.reshape(len(turned), -1)
+        error = np.abs(flat[left_out.sample] - weights.predict(flat)[0])
+        noise = 1.4826 * np.median(error, axis=0).reshape(images.shape[1:])
+        noise = np.sqrt(np.square(noise).mean(axis=1))
+        noise = np.maximum(noise, MIN_NOISE * noise.mean() + 1e-3)
+        found.append((KnownPixels(turned, noise, float(chirality * heading[0])), chirality))
+    return min(found, key=lambda pair: pair[0].noise.sum())
+
+
+def choose_kernel_by_errors(positioner: RegistrationPositioner, left_out: LeftOut) -> Kernel:
+    """The kernel with which left-out observations are registered nearest to their positions, by the geometric mean."""
+    sample, others = (part[:: -(-len(left_out.sample) // TRIAL_IMAGES)] for part in left_out)
+    place = positioner.places[sample]
+
+    def find_cost(kernel: Kernel) -> float:
+        match = replace(positioner, kernel=kernel).match(positioner.known[sample], place, ALL_ROUNDS, others)
+        return float(np.log(np.square(match.position - place).sum(axis=1) + ROUNDING_M**2).mean())
+
+    return min(KERNELS, key=find_cost)
+
+
+def calibrate(
+    positioner: RegistrationPositioner, images: np.ndarray, heading: np.ndarray, left_out: LeftOut
+) -> Calibration:
+    """What registrations of the observations left out (n, ...), with headings (n,) [rad], tell of the errors."""
+    sample, others = left_out
+    place = positioner.places[sample]
+    match = positioner.match(positioner.known[sample], place, ALL_ROUNDS, others)
+    unlike = match.residual / match.variance
+    low, usual = np.quantile(unlike, [0.1, 0.5])
+    components = 2.0 / (np.log(usual / low) / 1.2816) ** 2  # as of a chi-squared variable
+    features = _find_factor(match.position - place, match.covariance)
+    position, covariance, pixels, yaw, pixels_limit = match.position, features * match.covariance, 0.0, 1.0, np.inf
+    if positioner.pixels is not None:
+        found = positioner.pixels.register(grey(images), place, positioner.tree, positioner.kernel, others)
+        pixels = _find_factor(found.position - place, found.covariance[:, :2, :2])
+        pixels_limit = _find_limit(found.spread**2 / found.variance)
+        off = np.abs(wrap(positioner.chirality * found.yaw - heading)) / np.sqrt(found.covariance[:, 2, 2])
+        yaw = float(np.quantile(off, 0.68))
+        position, covariance = fuse(position, covariance, found.position, pixels * found.covariance[:, :2, :2])
+    size = np.linalg.norm(position - place, axis=1) / np.sqrt(np.trace(covariance, axis1=1, axis2=2))
+    radius = float(np.quantile(size, 0.68)), float(np.quantile(size, 0.95))
+    return Calibration(features, pixels, _find_limit(unlike), pixels_limit, float(components), radius, yaw)
+
+
+def _find_limit(unlike: np.ndarray) -> float:
+    return MARGIN * float(np.quantile(unlike, LIKE_SHARE))
+
+
+def _find_factor(error: np.ndarray, covariance: np.ndarray) -> float:
+    trace = np.trace(covariance, axis1=1, axis2=2)
+    return float(np.median(np.square(error).sum(axis=1) / trace) / NORMAL_MEDIAN)

@@ -1,0 +1,117 @@
+"""Registers polar images by their pixels, turned to one heading, on those of the training images.
+
+Features mix the whole circle. Pixels do not, so what is hidden, or has moved, spoils only its own, and the yaw comes
+with the position. Unknown are x, y, yaw, and a gain and an offset of the light; Gauss-Newton with Cauchy's weights
+minimises ``sum_i rho((turn(q, yaw)_i - gain f_i(x, y) - offset) / noise_i)``, f being the kriged image.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy import fft
+from scipy.spatial import KDTree
+
+from deepgps.positioner.kriging import NEIGHBOURS, Kernel, find_nearest, krige
+
+ROUNDS, OUTLIER = 2, 1.5  # Rounds of Gauss-Newton; residual that counts half, in standard deviations
+STEP_M, STEP_RAD = 0.15, 0.1  # Largest step of a round [m], [rad]
+MAX_PIXELS = 1024  # Images with more are halved
+CORRELATION_SAMPLES = 512  # Samples of the circular correlation
+DAMPING = 1e-4
+GAINS = 0.3, 3.0  # Smallest and largest gain
+
+
+class PixelMatch(NamedTuple):
+    """Registrations of n images."""
+
+    position: np.ndarray  # (n, 2) [m]
+    yaw: np.ndarray  # Heading of the camera, counter-clockwise even where the map is mirrored (n,) [rad]
+    covariance: np.ndarray  # Of x, y and yaw, but for a common factor (n, 3, 3)
+    weight: np.ndarray  # Weight of each pixel (n, R, S), 1 where it agrees
+    spread: np.ndarray  # Median absolute residual, in standard deviations of the noise (n,)
+    variance: np.ndarray  # Of the prediction, relative (n,)
+
+
+@dataclass(frozen=True)
+class KnownPixels:
+    """Grey training images, turned to one heading."""
+
+    images: np.ndarray  # (N, R, S) uint8
+    noise: np.ndarray  # Standard deviation of each ring's pixels (R,)
+    heading: float  # The heading of all [rad], counter-clockwise even where the map is mirrored
+
+    def register(
+        self, images: np.ndarray, start: np.ndarray, tree: KDTree, kernel: Kernel, index: np.ndarray | None = None
+    ) -> PixelMatch:
+        """Register grey images (n, R, S) from positions (n, 2) [m].
+
+        ``tree`` holds the places of the training images. These are predicted from the nearest, or from those with
+        numbers ``index`` (n, k).
+        """
+        count, _, sectors = images.shape
+        known = self.images.reshape(len(self.images), -1)
+        sharp = np.repeat(1.0 / self.noise, sectors).astype(np.float32)
+        position, light = start.copy(), np.tile([1.0, 0.0], (count, 1))
+        yaw = None
+        for step in range(ROUNDS + 1):
+            around = find_nearest(tree, position, NEIGHBOURS)[1] if index is None else index
+            weights = krige(position, tree.data, around, kernel)
+            seen, slope = weights.predict(known)
+            if yaw is None:
+                yaw = find_yaw(images, seen.reshape(images.shape))
+            turned, change = (part.reshape(count, -1) for part in turn(images, yaw))
+            residual = (turned - light[:, :1] * seen - light[:, 1:]) * sharp
+            spread = np.median(np.abs(residual), axis=1)
+            weight = 1.0 / (1.0 + (residual / (1.4826 * OUTLIER * np.maximum(spread, 1e-6)[:, None])) ** 2)
+            parts = [light[:, :1] * slope[:, 0], light[:, :1] * slope[:, 1], -change, seen, np.ones_like(seen)]
+            rows = np.stack(parts, axis=1) * sharp
+            weighted = rows * weight[:, None]
+            normal = weighted @ np.swapaxes(rows, 1, 2)
+            size = np.einsum("ncc->nc", normal)
+            normal += (DAMPING * size + 1e-12)[:, :, None] * np.eye(5)
+            if step == ROUNDS:
+                break
+            move = np.linalg.solve(normal, (weighted @ residual[..., None]))[..., 0]
+            length = np.linalg.norm(move[:, :2], axis=1, keepdims=True)
+            position = position + move[:, :2] * np.minimum(1.0, STEP_M / np.maximum(length, 1e-12))
+            yaw = yaw + move[:, 2].clip(-STEP_RAD, STEP_RAD)
+            light = light + move[:, 3:]
+            light[:, 0] = light[:, 0].clip(*GAINS)
+        covariance = spread[:, None, None] ** 2 * np.linalg.inv(normal)[:, :3, :3]
+        return PixelMatch(
+            position, np.asarray(yaw) + self.heading, covariance, weight.reshape(images.shape), spread, weights.variance
+        )
+
+
+def grey(images: np.ndarray) -> np.ndarray:
+    """Polar images (N, rings, sectors, colours) without colours, large ones halved (N, R, S) float32."""
+    count, rings, sectors, _ = images.shape
+    if rings * sectors <= MAX_PIXELS:
+        return images.mean(axis=3, dtype=np.float32)
+    mean = images.mean(axis=3, dtype=np.float32)[:, : rings // 2 * 2, : sectors // 2 * 2]
+    return mean.reshape(count, rings // 2, 2, sectors // 2, 2).mean(axis=(2, 4))
+
+
+def turn(images: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Images (n, R, S) as seen with the camera turned by -angle (n,) [rad], and their derivatives by the angle."""
+    sectors = images.shape[2]
+    waves = np.asarray(fft.rfft(images, axis=2))
+    frequency = np.arange(waves.shape[2], dtype=images.dtype)
+    waves *= np.exp(-1j * frequency * angle[:, None, None].astype(images.dtype))
+    change = -1j * frequency * waves
+    return np.asarray(fft.irfft(waves, sectors, axis=2)), np.asarray(fft.irfft(change, sectors, axis=2))
+
+
+def find_yaw(images: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Angles (n,) [rad] by which images (n, R, S) must be turned to match known ones, by circular correlation."""
+    one, other = (np.asarray(fft.rfft(part, axis=2)) for part in (images, known))
+    rings = np.sqrt(np.arange(images.shape[1]) + 0.5).astype(np.float32)
+    cross = np.einsum("nrk,nrk,r->nk", other, one.conj(), rings)
+    cross[:, 0] = 0.0
+    curve = np.asarray(fft.irfft(cross, CORRELATION_SAMPLES, axis=1))
+    best, rows = curve.argmax(axis=1), np.arange(len(curve))
+    before, top, after = (curve[rows, (best + step) % CORRELATION_SAMPLES] for step in (-1, 0, 1))
+    bend = before - 2.0 * top + after
+    beside = np.divide(before - after, 2.0 * bend, out=np.zeros_like(bend), where=bend != 0.0)
+    return 2.0 * np.pi * (best + beside) / CORRELATION_SAMPLES

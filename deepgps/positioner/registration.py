@@ -1,0 +1,302 @@
+"""Positions by registration: the place of the map from which an image like this one is the likeliest to be seen.
+
+This is appearance-map registration by maximum likelihood (Huhle et al., IROS 2010, with Gaussian processes). The
+features of the training images, whitened by the errors of their prediction, are kriged to any position. Gauss-Newton
+starts at the places of the images most alike, at several where these are apart, and the pixels refine what it finds.
+
+The noise of one image is unknown: integrated out with Jeffreys' prior, the likelihood of a position is
+``|r|^-D``, with the residual r and D independent components. That of the pixels counts half.
+"""
+
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+import torch
+from scipy.spatial import KDTree
+
+from deepgps.data.features import Features, check_shape
+from deepgps.positioner.kriging import NEIGHBOURS, Kernel, find_nearest, krige
+from deepgps.positioner.pixels import KnownPixels, grey
+from deepgps.positioner.positioner import FeaturePositioner, Packed, pack_features, read_upright, unpack_features
+from sim.geometry import wrap
+
+CHUNK = 64
+CANDIDATES, STARTS, START_DISTANCE_M = 128, 8, 0.4  # Images most alike, starts among these, distance of two [m]
+COARSE_ROUNDS, FINE_ROUNDS, STEP_M = 2, 3, 0.15  # Rounds from each start, and from each mode; largest step [m]
+ALL_ROUNDS = COARSE_ROUNDS + FINE_ROUNDS
+MODES, MODE_DISTANCE_M = 3, 0.5  # Modes that are kept, and the distance between two [m]
+PIXEL_MARGIN, CLEAR_MARGIN = 1.4, 1.0
+"""Modes whose cost exceeds the best by less than this are compared by pixels, too; if by less than this, none is sure.
+
+The cost is minus twice the logarithm of the likelihood, over the number of independent components.
+"""
+MAX_DIFFERENCE_M = 0.05  # Distance between the answers of features and pixels, up to which they are accepted [m]
+REASONS = ("accepted", "unlike", "ambiguous", "contradicting")
+"""Reasons, by number: the image is unlike all others near its place; two places look alike; both answers differ."""
+
+
+class Match(NamedTuple):
+    """Registrations of n images by features."""
+
+    position: np.ndarray  # (n, 2) [m]
+    residual: np.ndarray  # Squared residual (n,)
+    variance: np.ndarray  # Of the prediction, relative (n,)
+    covariance: np.ndarray  # Of the position, but for a common factor (n, 2, 2)
+
+    def take(self, index: Any) -> "Match":
+        """Some of them."""
+        return Match(*(part[index] for part in self))
+
+
+@dataclass(frozen=True)
+class Registered:
+    """Where B images were taken."""
+
+    position: np.ndarray  # Of the camera (B, 2) [m]
+    yaw: np.ndarray  # Of the robot (B,) [rad]; NaN where pixels are not compared
+    covariance: np.ndarray  # Of the position (B, 2, 2) [m^2]
+    yaw_std: np.ndarray  # (B,) [rad]
+    mode: np.ndarray  # Positions that are as good or nearly, the best first (B, MODES, 2) [m]; NaN: there is none
+    weight: np.ndarray  # Probability of each (B, MODES)
+    unlike: np.ndarray  # Squared residual of features or of pixels, the smaller, over the largest that is usual (B,)
+    reason: np.ndarray  # Number in ``REASONS`` (B,)
+    near: np.ndarray  # Nearest training image (B,)
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What left-out segments say of the errors."""
+
+    features: float  # Factor of the features' covariances
+    pixels: float  # Factor of the pixels' covariances; 0: none are compared
+    features_limit: float  # Largest squared residual of features over its variance that is usual
+    pixels_limit: float  # Largest squared spread of pixels over its variance that is usual
+    components: float  # Independent components of the features
+    radius: tuple[float, float]  # Radii of 68 and 95 %, over the root of the covariance's trace
+    yaw: float  # Standard deviation of the yaw over that by the pixels alone
+
+
+ARRAYS = ("known", "places", "index", "place_std")
+
+
+@dataclass(frozen=True)
+class RegistrationPositioner(FeaturePositioner):
+    """Positions by registration on a map of training images."""
+
+    kind = "registration"
+
+    features: Features  # The map from observations to whitened features
+    known: np.ndarray  # Features of the training images (N, K) float32
+    places: np.ndarray  # Their positions (N, 2) [m]
+    index: np.ndarray  # Their numbers among all training observations (N,)
+    place_std: np.ndarray  # Standard deviation of each along one axis (N,) [m]
+    kernel: Kernel
+    calibration: Calibration
+    pixels: KnownPixels | None = None  # None: observations are no polar images, or no headings are known
+    chirality: int = 1  # -1 where the map is mirrored
+    mount: tuple[float, float] = (0.0, 0.0)  # Camera ahead of the axle and to its left [m]
+
+    def __call__(self, observations: np.ndarray) -> np.ndarray:
+        found = self.register(observations)
+        return self.leave_camera(found.position, found.yaw)
+
+    def locate_camera(self, observations: np.ndarray) -> np.ndarray:
+        return self.register(observations).position
+
+    def locate_training(self, observations: np.ndarray) -> np.ndarray:
+        if any(self.mount):
+            return self(observations)
+        others = np.setdiff1d(np.arange(len(observations)), self.index)
+        places = np.empty((len(observations), 2))
+        places[self.index], places[others] = self.places, self(observations[others])
+        return places
+
+    def locate_with_features(self, observations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return self.locate_camera(observations), self.features.apply(self.set_upright(observations)).numpy()
+
+    def leave_camera(self, camera: np.ndarray, yaw: np.ndarray) -> np.ndarray:
+        ahead, left = self.mount[0], self.chirality * self.mount[1]
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        return camera - np.nan_to_num(np.stack([cos * ahead - sin * left, sin * ahead + cos * left], axis=1))
+
+    def register(self, observations: np.ndarray) -> Registered:
+        """Register observations (B, ...)."""
+        check_shape(observations, self.features.shape)
+        starts = range(0, max(len(observations), 1), CHUNK)
+        found = [self._register(observations[start : start + CHUNK]) for start in starts]
+        parts = ([getattr(one, name) for one in found] for name in Registered.__dataclass_fields__)
+        return Registered(*(np.concatenate(part) for part in parts))
+
+    def find_radii(self, found: Registered) -> np.ndarray:
+        """Radii (B, 2) [m] that hold the true positions with probabilities of 68 and 95 %."""
+        size = np.sqrt(np.trace(found.covariance, axis1=1, axis2=2))
+        flat = np.sqrt(-2.0 * np.log1p(-np.array([0.68, 0.95])))  # of a normal vector in the plane
+        return np.hypot(size[:, None] * self.calibration.radius, self.place_std[found.near, None] * flat)
+
+    def match(
+        self, features: np.ndarray, start: np.ndarray, rounds: int = FINE_ROUNDS, index: np.ndarray | None = None
+    ) -> Match:
+        """Register features (n, K) from positions (n, 2) [m].
+
+        They are predicted from the nearest training images, or from those with numbers ``index`` (n, k).
+        """
+        position = start.copy()
+        for step in range(rounds + 1):
+            around = self._find_nearest(position) if index is None else index
+            weights = krige(position, self.places, around, self.kernel)
+            seen, slope = weights.predict(self.known)
+            residual, rows = features - seen, slope.astype(float)
+            inverse = np.linalg.inv(rows @ np.swapaxes(rows, 1, 2) + 1e-9 * np.eye(2))
+            if step < rounds:
+                move = (inverse @ (rows @ residual[..., None].astype(float)))[..., 0]
+                length = np.linalg.norm(move, axis=1, keepdims=True)
+                position = position + move * np.minimum(1.0, STEP_M / np.maximum(length, 1e-12))
+        squared = np.einsum("nk,nk->n", residual, residual).astype(float)
+        return Match(position, squared, weights.variance, squared[:, None, None] * inverse)
+
+    def find_starts(self, features: np.ndarray) -> np.ndarray:
+        """Training images (B, STARTS) that look most like features (B, K), apart from one another."""
+        apart = self._squares - 2.0 * (features @ self.known.T)
+        count = min(CANDIDATES, len(self.known))
+        near = np.argpartition(apart, count - 1, axis=1)[:, :count]
+        near = np.take_along_axis(near, np.argsort(np.take_along_axis(apart, near, axis=1), axis=1), axis=1)
+        return np.take_along_axis(near, thin(self.places[near], STARTS, START_DISTANCE_M), axis=1)
+
+    def _register(self, observations: np.ndarray) -> Registered:
+        images, calibration = self.set_upright(observations), self.calibration
+        modes = self._find_modes(self.features.apply(images).numpy())
+        count, rows = len(modes.residual), np.arange(len(modes.residual))
+        cost, position = np.log(modes.residual), modes.position.copy()
+        covariance = calibration.features * modes.covariance
+        yaw, yaw_std = (np.full(cost.shape, np.nan) for _ in range(2))
+        differ, unlike = np.zeros(cost.shape), modes.residual / modes.variance / calibration.features_limit
+        if self.pixels is not None and count:
+            close = np.nonzero(cost < cost[:, :1] + PIXEL_MARGIN)
+            found = self.pixels.register(grey(images)[close[0]], modes.position[close], self.tree, self.kernel)
+            of_pixels = calibration.pixels * found.covariance[:, :2, :2]
+            differ[close] = np.linalg.norm(found.position - modes.position[close], axis=1)
+            position[close], covariance[close] = fuse(position[close], covariance[close], found.position, of_pixels)
+            yaw[close] = wrap(self.chirality * found.yaw)
+            yaw_std[close] = calibration.yaw * np.sqrt(found.covariance[:, 2, 2])
+            of_pixels = found.spread**2 / found.variance / calibration.pixels_limit
+            unlike[close] = np.minimum(unlike[close], of_pixels)  # what is hidden spoils the features, and few pixels
+            with_pixels = np.full(cost.shape, np.inf)
+            with_pixels[close] = cost[close] + np.log(found.spread + 1e-6)
+            cost = with_pixels
+        order = (rows[:, None], np.argsort(cost, axis=1, kind="stable"))
+        cost, best = cost[order], order[1][:, 0]
+        weight = np.exp(calibration.components / 2.0 * (cost[:, :1] - cost))
+        ambiguous = (cost[:, 1:] < cost[:, :1] + CLEAR_MARGIN).any(axis=1)
+        conditions = (unlike[rows, best] > 1.0, ambiguous, differ[rows, best] > MAX_DIFFERENCE_M)
+        place = position[rows, best]
+        return Registered(
+            place,
+            yaw[rows, best],
+            covariance[rows, best],
+            yaw_std[rows, best],
+            np.where(np.isfinite(cost)[..., None], position[order], np.nan),
+            weight / weight.sum(axis=1, keepdims=True),
+            unlike[rows, best],
+            np.select(conditions, (1, 2, 3), 0),
+            find_nearest(self.tree, place, 1)[1][:, 0],
+        )
+
+    def _find_modes(self, features: np.ndarray) -> Match:
+        """The best positions of features (B, K), as parts (B, MODES, ...); an infinite residual where there is none."""
+        start = self.places[self.find_starts(features)]
+        count, starts = start.shape[:2]
+        rough = self.match(np.repeat(features, starts, axis=0), start.reshape(-1, 2), COARSE_ROUNDS)
+        order = np.argsort(rough.residual.reshape(count, starts), axis=1, kind="stable")
+        placed = np.take_along_axis(rough.position.reshape(count, starts, 2), order[..., None], axis=1)
+        chosen = thin(placed, MODES, MODE_DISTANCE_M)
+        again = np.diff(chosen, axis=1, prepend=-1) <= 0  # ``thin`` repeats the first where there are no more
+        start = np.take_along_axis(placed, chosen[..., None], axis=1)
+        fine = self.match(np.repeat(features, chosen.shape[1], axis=0), start.reshape(-1, 2))
+        shape = chosen.shape
+        modes = Match(*(part.reshape(*shape, *part.shape[1:]) for part in fine))
+        modes.residual[again], modes.position[again] = np.inf, np.nan
+        order = np.argsort(modes.residual, axis=1, kind="stable")
+        modes = modes.take((np.arange(count)[:, None], order))
+        for number in range(1, shape[1]):  # one that has come to a better one
+            away = np.linalg.norm(modes.position[:, :number] - modes.position[:, number, None], axis=2)
+            same = (away < MODE_DISTANCE_M).any(axis=1)
+            modes.residual[same, number], modes.position[same, number] = np.inf, np.nan
+        return modes
+
+    def pack(self) -> Packed:
+        tensors, numbers = pack_features(self.features)
+        arrays = {name: getattr(self, name) for name in ARRAYS}
+        numbers |= {
+            "shape": list(self.features.shape),
+            "kernel": list(self.kernel),
+            "calibration": asdict(self.calibration),
+            "chirality": self.chirality,
+            "mount_m": list(self.mount),
+        }
+        if self.pixels is not None:
+            arrays |= {"images": self.pixels.images, "noise": self.pixels.noise}
+            numbers["heading"] = self.pixels.heading
+        if self.upright is not None:
+            numbers["upright"] = asdict(self.upright)
+        return Packed(tensors | {name: torch.from_numpy(array) for name, array in arrays.items()}, numbers)
+
+    @classmethod
+    def unpack(cls, packed: Packed) -> Self:
+        tensors, numbers = packed
+        known, places, index, place_std = (tensors[name].numpy() for name in ARRAYS)
+        pixels = None
+        if "images" in tensors:
+            pixels = KnownPixels(tensors["images"].numpy(), tensors["noise"].numpy(), numbers["heading"])
+        calibration = Calibration(**{**numbers["calibration"], "radius": tuple(numbers["calibration"]["radius"])})
+        ahead, left = numbers["mount_m"]
+        return cls(
+            unpack_features(packed),
+            known,
+            places,
+            index,
+            place_std,
+            Kernel(*numbers["kernel"]),
+            calibration,
+            pixels,
+            int(numbers["chirality"]),
+            (float(ahead), float(left)),
+            upright=read_upright(numbers.get("upright")),
+        )
+
+    def _find_nearest(self, position: np.ndarray) -> np.ndarray:
+        return find_nearest(self.tree, position, NEIGHBOURS)[1]
+
+    @cached_property
+    def tree(self) -> KDTree:
+        """The places, for queries."""
+        return KDTree(self.places)
+
+    @cached_property
+    def _squares(self) -> np.ndarray:
+        return np.square(self.known).sum(axis=1)
+
+
+def thin(places: np.ndarray, count: int, apart_m: float) -> np.ndarray:
+    """Of places (B, n, 2) [m], the first and those after it that are apart from all chosen, as indices (B, count).
+
+    Where there are fewer, the first again.
+    """
+    rows, free = np.arange(len(places)), np.ones(places.shape[:2], bool)
+    chosen = np.zeros((len(places), min(count, places.shape[1])), int)
+    for number in range(chosen.shape[1]):
+        chosen[:, number] = free.argmax(axis=1)
+        away = np.linalg.norm(places - places[rows, chosen[:, number]][:, None], axis=2)
+        free &= away > apart_m
+    return chosen
+
+
+def fuse(
+    one: np.ndarray, one_cov: np.ndarray, other: np.ndarray, other_cov: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Mean of two positions (n, 2), weighted by their covariances (n, 2, 2), and its covariance."""
+    first, second = np.linalg.inv(one_cov), np.linalg.inv(other_cov)
+    covariance = np.linalg.inv(first + second)
+    sum_ = np.einsum("nij,nj->ni", first, one) + np.einsum("nij,nj->ni", second, other)
+    return np.einsum("nij,nj->ni", covariance, sum_), covariance
