@@ -23,7 +23,7 @@ COLUMNS = ("a fast laptop", "a slow two-core machine")
 RUN = (sys.executable, "-m", "deepgps.commands.main", "run")
 COMMANDS = {
     "set-up": ("set-up of a new clone", (".ci/setup",)),
-    "demo": ("`make demo` after it", (*RUN, "living_room", "--out", "{folder}/demo")),
+    "demo": ("`make demo` after it", (*RUN, "demo", "--out", "{folder}/demo")),
     "tiny": ("`deepgps run tiny`", (*RUN, "tiny", "--out", "{folder}/tiny")),
     "test": ("`make test` after set-up", ("make", "test")),
 }

@@ -183,6 +183,17 @@ def test_the_ellipse_grows_with_the_noise(
     assert sizes[0] < sizes[1] < sizes[2]
 
 
+def test_hidden_sectors_hardly_move_the_answer(
+    positioner: RegistrationPositioner, tests: tuple[np.ndarray, np.ndarray]
+) -> None:
+    images, true = tests
+    hidden = images.copy()
+    hidden[:, :, 5:8] = 127
+    seen, left = (np.linalg.norm(positioner.register(some).position - true[:, :2], axis=1) for some in (images, hidden))
+    assert np.median(left) < 2.0 * np.median(seen)
+    assert (positioner.register(hidden).reason == 0).mean() > 0.5
+
+
 def test_an_image_of_nothing_is_refused(positioner: RegistrationPositioner) -> None:
     shape = (4, *positioner.features.shape)
     images = np.random.default_rng(0).integers(0, 256, shape, dtype=np.uint8)
