@@ -24,9 +24,9 @@ from sim.geometry import wrap
 
 CHUNK = 64
 CANDIDATES, STARTS, START_DISTANCE_M = 128, 8, 0.4  # Images most alike, starts among these, distance of two [m]
-COARSE_ROUNDS, FINE_ROUNDS, STEP_M = 2, 3, 0.15  # Rounds from each start, and from each mode; largest step [m]
+COARSE_ROUNDS, FINE_ROUNDS, STEP_M = 4, 2, 0.15  # Rounds from each start, and from each mode; largest step [m]
 ALL_ROUNDS = COARSE_ROUNDS + FINE_ROUNDS
-MODES, MODE_DISTANCE_M = 3, 0.5  # Modes that are kept, and the distance between two [m]
+MODES, MODE_DISTANCE_M = 5, 0.5  # Modes that are kept, and the distance between two [m]
 PIXEL_MARGIN, CLEAR_MARGIN = 1.4, 1.0
 """Modes whose cost exceeds the best by less than this are compared by pixels, too; if by less than this, none is sure.
 
