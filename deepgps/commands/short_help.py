@@ -23,7 +23,7 @@ FIRST_SETTINGS = {
     "encoder.ticks_per_rev": "resolution of the wheel encoders",
     "encoder.step_noise": "noise of each distance, as a fraction of it",
     "image_faults.read_noise": "noise of the camera in the dark, of white",
-    "deployment.light": "light in deployment, as a fraction of that in training",
+    "deployment.light": "light in deployment, over that in training",
     "learn.train.steps": "steps of each training",
 }
 """Settings that most users change first, with what they are."""

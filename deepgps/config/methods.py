@@ -70,7 +70,7 @@ METHODS: dict[str, Method] = {
         reads_turns=True,
     ),
     "registration_distances": Method(
-        "Registration, distances alone",
+        "Registration, distances",
         "#e0559b",
         "E2",
         "deepgps.methods.registration:fit_distances",

@@ -165,7 +165,7 @@ def _summary(field: ErrorField) -> str:
     rms, accepted = f"RMS {100 * find_rms(field.worst):.1f} cm", split_by_acceptance(field)[0].error
     if field.accepted is None or not len(accepted):
         return f"{rms}, median {100 * np.median(field.worst):.1f} cm"
-    return f"{rms}; {100 * field.accepted.mean():.1f} % of images accepted: {100 * find_rms(accepted):.1f} cm"
+    return f"{rms}; {100 * field.accepted.mean():.1f} % accepted: {100 * find_rms(accepted):.1f} cm"
 
 
 def _line(name: str) -> dict[str, Any]:

@@ -236,7 +236,7 @@ MAX_TURNED_SHARE = 0.03
 """Part of the way that may be mirrored or turned in a right map: images taken for a place that looks alike. In twenty
 worlds of corridors and labyrinths it was at most 1.4 % in right maps by distances alone, 4 to 55 % in wrong ones."""
 MIN_SEEN_SHARE = 0.9  # Fraction of the test positions near a training observation below which the drive is too short
-SMOKE_TEST_NOTE = "This is a small run that shows the way only; its errors have no meaning."
+SMOKE_TEST_NOTE = "This small run is a smoke test; its errors have no meaning."
 
 
 def judge_run(metrics: Mapping[str, Any]) -> list[str]:

@@ -110,7 +110,7 @@ def write_report(study: Study, plans: Sequence[Plan], failures: Mapping[str, str
     scenarios = " and ".join(dict.fromkeys(plan.scenario.name for plan in plans))
     blocks = [f"# {study.name}", f"{len(plans)} runs of {scenarios}, {len(failures)} failed."]
     if study.name.endswith("-tiny"):
-        blocks.append("A small version of the study, which shows the way only: its errors have no meaning.")
+        blocks.append("A small version of the study, a smoke test: its errors have no meaning.")
     measured = [row for row in rows if row["failure"] is None]
     if measured:
         report = REPORTS[study.report]

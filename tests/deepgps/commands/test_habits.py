@@ -36,7 +36,7 @@ HINTS = [
     ("run tiny --ticks-per-rev 64", "--ticks-per-rev: there is no such setting, did you mean --encoder.ticks-per-rev?"),
     ("run tiny --nonsense 64", "--nonsense: there is no such setting; deepgps run --help-all lists them"),
     ("run tiny --encoder.ticks-per-rev 3", "error: --encoder.ticks-per-rev '3': must be greater than or equal to 4"),
-    ("run tiny --methods deepgps knnn", "error: --methods 'knnn': must be 'deepgps_compass'"),
+    ("run tiny --methods deepgps knnn", "error: --methods 'knnn': must be 'registration'"),
     ("run --help encodr", "there is no such group of settings, did you mean encoder?"),
 ]
 

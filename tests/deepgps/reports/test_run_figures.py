@@ -113,7 +113,7 @@ def test_refused_images_are_grey_and_the_others_have_colours(run: Path) -> None:
     assert len(list_arrows(refused)) == (~accepted).any(axis=1).sum()
     assert {to_hex(colour) for colour in refused.get_facecolors()} == {REFUSED_COLOUR}
     assert "grey: images that the method refuses" in figure.legends[0].texts[0].get_text()
-    assert f"{100 * accepted.mean():.1f} % of images accepted" in figure.axes[0].get_title()
+    assert f"{100 * accepted.mean():.1f} % accepted" in figure.axes[0].get_title()
     assert not draw_error_field(make_free_space(), field, "knn").legends
 
 
