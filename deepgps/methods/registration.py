@@ -194,7 +194,7 @@ def calibrate(
     low, usual = np.quantile(unlike, [0.1, 0.5])
     components = 2.0 / (np.log(usual / low) / 1.2816) ** 2  # as of a chi-squared variable
     features = _find_factor(match.position - place, match.covariance)
-    position, covariance, pixels, yaw, pixels_limit = match.position, features * match.covariance, 0.0, 1.0, np.inf
+    position, covariance, pixels, yaw, pixels_limit = match.position, features * match.covariance, 0.0, 1.0, 1.0
     if positioner.pixels is not None:
         found = positioner.pixels.register(grey(images), place, positioner.tree, positioner.kernel, others)
         pixels = _find_factor(found.position - place, found.covariance[:, :2, :2])

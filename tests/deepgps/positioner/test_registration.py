@@ -222,12 +222,18 @@ def test_none_and_one_by_one_as_all_at_once(
     np.testing.assert_allclose(single, positioner.register(images).position, atol=1e-5)
 
 
+@pytest.mark.parametrize("with_headings", [True, False])
 def test_stored_and_read_it_gives_the_same(
-    positioner: RegistrationPositioner, tests: tuple[np.ndarray, np.ndarray], tmp_path: Path
+    data: TrainingData, pose: np.ndarray, tests: tuple[np.ndarray, np.ndarray], tmp_path: Path, with_headings: bool
 ) -> None:
+    heading = pose[:, 2] if with_headings else np.full(len(pose), np.nan)
+    positioner = learn(data, pose[:, :2], heading)
+    assert (positioner.pixels is not None) == with_headings
     save_positioner(tmp_path, positioner, {})
-    read = load_positioner(tmp_path)
-    np.testing.assert_array_equal(read(tests[0]), positioner(tests[0]))
+    one, other = (find_poses(some, tests[0]) for some in (positioner, load_positioner(tmp_path)))
+    np.testing.assert_array_equal(other.position, one.position)
+    assert one.accepted is not None and one.accepted.mean() > 0.5
+    assert (one.yaw is not None) == with_headings
 
 
 def test_a_fused_position_is_nearer_to_the_surer() -> None:
