@@ -7,7 +7,7 @@ ROOT = Path(__file__).parents[1]
 LIMITS = {
     "lines of sim and deepgps": 42_150,
     "files of sim and deepgps": 281,
-    "lines of tests": 28_480,
+    "lines of tests": 28_500,
     "Python files directly in deepgps": 2,
     "words of decisions": 6_000,
     "words of all other pages by hand": 19_350,
