@@ -95,6 +95,13 @@ class FeaturePositioner(Positioner):
         return images if self.upright is None else self.upright(images)
 
 
+def subtract_mount(camera: np.ndarray, yaw: np.ndarray, mount: tuple[float, float], chirality: int) -> np.ndarray:
+    """Positions of the axle by those of the camera (B, 2) [m] and the yaw (B,) [rad]; where it is NaN, the same."""
+    ahead, left = mount[0], chirality * mount[1]
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    return camera - np.nan_to_num(np.stack([cos * ahead - sin * left, sin * ahead + cos * left], axis=1))
+
+
 def pack_features(features: Features) -> Packed:
     """The map to features, without the shape of an observation."""
     tensors = {"features.mean": features.mean, "features.basis": features.basis}
@@ -157,10 +164,7 @@ class NetworkPositioner(FeaturePositioner):
 
     def leave_camera(self, camera: np.ndarray, yaw: np.ndarray) -> np.ndarray:
         assert self.headings is not None
-        ahead, left = self.mount
-        left *= self.headings.chirality
-        cos, sin = np.cos(yaw), np.sin(yaw)
-        return camera - np.nan_to_num(np.stack([cos * ahead - sin * left, sin * ahead + cos * left], axis=1))
+        return subtract_mount(camera, yaw, self.mount, self.headings.chirality)
 
     def embed(self, observations: np.ndarray) -> np.ndarray:
         """Outputs of the network (B, D) float64 [m], relative to ``centre``, before projection onto the plane."""

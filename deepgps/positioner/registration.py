@@ -17,9 +17,17 @@ import torch
 from scipy.spatial import KDTree
 
 from deepgps.data.features import Features, check_shape
+from deepgps.positioner.confidence import LEVELS, find_normal_radius
 from deepgps.positioner.kriging import NEIGHBOURS, Kernel, find_nearest, krige
 from deepgps.positioner.pixels import KnownPixels, grey
-from deepgps.positioner.positioner import FeaturePositioner, Packed, pack_features, read_upright, unpack_features
+from deepgps.positioner.positioner import (
+    FeaturePositioner,
+    Packed,
+    pack_features,
+    read_upright,
+    subtract_mount,
+    unpack_features,
+)
 from sim.geometry import wrap
 
 CHUNK = 64
@@ -117,9 +125,7 @@ class RegistrationPositioner(FeaturePositioner):
         return self.locate_camera(observations), self.features.apply(self.set_upright(observations)).numpy()
 
     def leave_camera(self, camera: np.ndarray, yaw: np.ndarray) -> np.ndarray:
-        ahead, left = self.mount[0], self.chirality * self.mount[1]
-        cos, sin = np.cos(yaw), np.sin(yaw)
-        return camera - np.nan_to_num(np.stack([cos * ahead - sin * left, sin * ahead + cos * left], axis=1))
+        return subtract_mount(camera, yaw, self.mount, self.chirality)
 
     def register(self, observations: np.ndarray) -> Registered:
         """Register observations (B, ...)."""
@@ -132,8 +138,8 @@ class RegistrationPositioner(FeaturePositioner):
     def find_radii(self, found: Registered) -> np.ndarray:
         """Radii (B, 2) [m] that hold the true positions with probabilities of 68 and 95 %."""
         size = np.sqrt(np.trace(found.covariance, axis1=1, axis2=2))
-        flat = np.sqrt(-2.0 * np.log1p(-np.array([0.68, 0.95])))  # of a normal vector in the plane
-        return np.hypot(size[:, None] * self.calibration.radius, self.place_std[found.near, None] * flat)
+        of_map = self.place_std[found.near, None] * find_normal_radius(np.array(LEVELS))
+        return np.hypot(size[:, None] * self.calibration.radius, of_map)
 
     def match(
         self, features: np.ndarray, start: np.ndarray, rounds: int = FINE_ROUNDS, index: np.ndarray | None = None
@@ -199,7 +205,7 @@ class RegistrationPositioner(FeaturePositioner):
             np.where(np.isfinite(cost)[..., None], position[order], np.nan),
             weight / weight.sum(axis=1, keepdims=True),
             unlike[rows, best],
-            np.select(conditions, (1, 2, 3), 0),
+            np.select(conditions, list(range(1, len(REASONS))), 0),
             find_nearest(self.tree, place, 1)[1][:, 0],
         )
 

@@ -79,7 +79,7 @@ class Track:
 
 
 def track_drive(positioner: Positioner, recording: Recording, progress: Report) -> Track:
-    """Track the robot through a recording by a method as it is in use.
+    """Track the robot through a recording by a method as deployed.
 
     Raises InputError if no segment has two readings, or no wheel turned.
     """
