@@ -155,9 +155,8 @@ def log_ticks(stream: rr.RecordingStream, recording: Recording) -> None:
     later = segment[1:] == segment[:-1]
     at = drive_clock(recording)(recording.time[1 + np.flatnonzero(later)])
     ticks = np.diff(recording.reading[:, 2:], axis=0)[later]
-    send_series(
-        stream, "drive/ticks/left", at, ticks[:, 0], "left", TRUE_COLOUR, width=4.0
-    )  # seen under an equal right
+    # wider, so that it is seen under an equal right
+    send_series(stream, "drive/ticks/left", at, ticks[:, 0], "left", TRUE_COLOUR, width=4.0)
     send_series(stream, "drive/ticks/right", at, ticks[:, 1], "right", RIGHT_COLOUR)
     send_series(stream, "drive/tick_difference", at, ticks[:, 1] - ticks[:, 0], "right minus left", WRONG_COLOUR)
 
