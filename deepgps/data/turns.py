@@ -135,9 +135,8 @@ def describe_lean(lean: tuple[float, float]) -> dict[str, float]:
 WHEEL_TURN_STD_RAD, PUSHED_TURN_STD_RAD = 0.3, 1.5
 """Standard deviations of a turn by the wheels, to choose between peaks: they may slip, and what the robot touched may
 have turned it by a right angle while they did not move [rad]."""
-WANDER_STD_RAD = np.radians(
-    0.07
-)  # Standard deviation of a segment's mean heading against its heading at the ends [rad]
+WANDER_STD_RAD = np.radians(0.07)
+"""Standard deviation of a segment's mean heading against its heading at the ends [rad]."""
 BACK_OFF_STD_M, MEETING_STD_M = 0.05, 0.001
 """Standard deviations of where a segment begins after the robot backed off, and where it turned in place [m]."""
 SPACING_STD_SHARE = 0.3  # Standard deviation of the distance between images, as a part of it, where readings were lost

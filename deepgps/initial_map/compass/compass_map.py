@@ -46,10 +46,8 @@ rounds before: in a long drive, each drift can be seen only after shorter ones a
 ATTEMPTS = 10  # Times that parts are joined although they have come apart again when refined
 CONVERGENCE_M, CONVERGENCE_SHARE = 0.001, 0.001
 """The map is finished once no round moves it further than this [m], or changes this part of the inliers."""
-CUT_STD_RAD, CUT_STD_M = (
-    0.15,
-    0.5,
-)  # A turn, or a way between two segments, that is known less well cuts the drive into parts
+CUT_STD_RAD, CUT_STD_M = 0.15, 0.5
+"""A turn, or the distance between two segments, that is known less well cuts the drive into parts."""
 RECUTS = 3  # Times that turns which loop closures contradict are cut
 UNDERSTATED_RATIO = 1.5  # Where lengths err so many times more than expected, the map is made again with shorter bars
 MAX_TURN = 0.5

@@ -18,9 +18,8 @@ from sim.sensors.camera.lens import Lens
 from sim.sensors.camera.unwrap import COEFFICIENTS, MODELS, RawCamera, Unwrapping, check_camera
 
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
-MIN_HALF_ANGLE = np.radians(
-    30.0
-)  # Smallest angle between the optical axis and the rim that is worth learning from [rad]
+MIN_HALF_ANGLE = np.radians(30.0)
+"""Smallest angle between the optical axis and the rim that is worth learning from [rad]."""
 FIRST_IMAGES = 20  # Images of which most have the size of all; some cameras begin with another one
 
 
