@@ -85,6 +85,9 @@ METHODS: dict[str, Method] = {
     "deepgps_with_turns": Method(
         "DeepGPS, with turns", "#7048e8", "SE2", "deepgps.methods.variants:fit_with_turns", "wheels", "network"
     ),
+    "sfa_linear": Method(
+        "Linear slow features", "#8a5a44", "E2", "deepgps.methods.sfa_linear:fit", "distances", "linear", in_steps=False
+    ),
     "explicit": Method(
         "Explicit positioning",
         "#7a4fbf",

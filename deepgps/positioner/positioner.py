@@ -257,6 +257,40 @@ class NeighbourPositioner(FeaturePositioner):
         return (weight[..., None] * self.places[nearest.indices]).sum(dim=1).numpy()
 
 
+@dataclass(frozen=True)
+class LinearPositioner(FeaturePositioner):
+    """Positions as a linear map of features and of products of the slowest."""
+
+    kind = "linear"
+
+    features: Features  # The map from observations to features
+    weights: torch.Tensor  # Of each feature, then of each product (D, 2) float64 [m]
+
+    def __call__(self, observations: np.ndarray) -> np.ndarray:
+        return self.locate_with_features(observations)[0]
+
+    def locate_with_features(self, observations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        features = self.features.apply(observations).numpy()
+        multiplied = int((2 * (len(self.weights) - features.shape[1])) ** 0.5)  # n features have n (n + 1) / 2 products
+        starts, weights = range(0, len(features), CHUNK), self.weights.numpy()
+        parts = (multiply_slowest(features[start : start + CHUNK].astype(float), multiplied) for start in starts)
+        return np.concatenate([np.zeros((0, 2)), *(part @ weights for part in parts)]), features
+
+    def pack(self) -> Packed:
+        tensors, how = pack_features(self.features)
+        return Packed(tensors | {"weights": self.weights}, {"shape": list(self.features.shape)} | how)
+
+    @classmethod
+    def unpack(cls, packed: Packed) -> Self:
+        return cls(unpack_features(packed), packed.tensors["weights"])
+
+
+def multiply_slowest(features: np.ndarray, count: int) -> np.ndarray:
+    """Features (..., K) and the products of the first ``count``, beginning with those of the first alone (..., D)."""
+    one, other = np.tril_indices(count)
+    return np.concatenate([features, features[..., one] * features[..., other]], axis=-1)
+
+
 def read_upright(stored: Mapping[str, Any] | None) -> Upright | None:
     """What sets images upright, as a positioner packs it."""
     if stored is None:

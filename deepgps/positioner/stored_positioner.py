@@ -14,7 +14,14 @@ from safetensors.torch import load_file, save
 
 from deepgps.positioner.confidence import Confidence
 from deepgps.positioner.headings import HeadingTable
-from deepgps.positioner.positioner import CPU, NeighbourPositioner, NetworkPositioner, Packed, Positioner
+from deepgps.positioner.positioner import (
+    CPU,
+    LinearPositioner,
+    NeighbourPositioner,
+    NetworkPositioner,
+    Packed,
+    Positioner,
+)
 from deepgps.positioner.registration import RegistrationPositioner
 from deepgps.positioner.without_features import ArrayPositioner, LandmarkPositioner, ScanPositioner
 from sim.errors import DamagedError, InputError, WorkError, one_line
@@ -30,6 +37,7 @@ KINDS = {
         RegistrationPositioner,
         NetworkPositioner,
         NeighbourPositioner,
+        LinearPositioner,
         ScanPositioner,
         LandmarkPositioner,
         ArrayPositioner,

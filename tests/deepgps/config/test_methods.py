@@ -13,7 +13,7 @@ from sim.errors import InputError
 from sim.recording.format import open_recording
 
 EXPLICIT = sorted(name for name, method in METHODS.items() if method.observes == "vector")
-QUICK = ("deepgps", "knn", "registration", "registration_distances")
+QUICK = ("deepgps", "knn", "registration", "registration_distances", "sfa_linear")
 IMAGES = sorted(name for name, method in METHODS.items() if method.observes in {None, "polar_image"})
 
 
