@@ -17,7 +17,6 @@ from PIL import Image
 from deepgps.config.learning import LearnSettings
 from deepgps.config.methods import colour_of
 from deepgps.config.scenario import Scenario
-from deepgps.data.encoder_noise import find_inliers
 from deepgps.evaluation.error_field import find_worst, read_all_headings
 from deepgps.evaluation.segment_errors import reckon_path
 from deepgps.initial_map.distances.dense import NEIGHBOURS, find_affine_maps, find_modes
@@ -130,7 +129,7 @@ def draw_segments(recording: Recording, truth: Truth) -> Figure:
 def draw_straightness(run: Path, scenario: Scenario, recording: Recording, truth: Truth) -> Figure:
     """The two slowest modes, the rough map that they become, and that of shortest paths, with their errors."""
     data = prepare(recording, scenario.learn, scenario.seed, run)
-    segments, count = data.segments.take(find_inliers(data.segments)), len(data.features)
+    segments, count = data.segments, len(data.features)
     closures = find_loop_closures(data.features, segments, NEIGHBOURS)
     with use_threads(1):
         graph = build_pose_graph(segments, closures[0], np.ones(count, bool))
@@ -157,9 +156,8 @@ def draw_maps(run: Path, scenario: Scenario, recording: Recording, truth: Truth)
     """The initial map, and the network's map at three steps of the training."""
     history = read_histories(run)["deepgps"]
     data = prepare(recording, scenario.learn, scenario.seed, run)
-    segments = data.segments.take(find_inliers(data.segments))
     with use_threads(1):
-        initial = make_initial_map(data.features, segments, "paths", scenario.seed, 0)[0].numpy()
+        initial = make_initial_map(data.features, data.segments, "paths", scenario.seed, 0)[0].numpy()
     mapped = np.isfinite(initial).all(axis=1)
     place = truth.pose[history["snapshot_index"], :2]
     maps = [("1. initial map, without a network", initial[mapped], truth.pose[mapped, :2])]

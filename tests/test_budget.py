@@ -6,7 +6,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 LIMITS = {
     "lines of sim and deepgps": 42_300,
-    "files of sim and deepgps": 282,
+    "files of sim and deepgps": 283,
     "lines of tests": 28_560,
     "Python files directly in deepgps": 2,
     "words of decisions": 6_000,

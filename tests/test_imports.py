@@ -341,7 +341,7 @@ BREAKS = (
     (break_alignment_law, "deepgps.methods.deepgps", "open('runs/tiny/deepgps/alignment.json')", "alignment"),
     (break_label_law, "deepgps.methods.deepgps", "from deepgps.data.labels import read_places", "labels"),
     (break_label_law, "deepgps.methods.deepgps", "from sim.recording.format import open_labels", "labels"),
-    (break_label_law, "deepgps.methods.variants", "import deepgps.data.labels", "labels"),
+    (break_label_law, "deepgps.methods.compass", "import deepgps.data.labels", "labels"),
     (break_seed_law, "sim.robot.drive", "np.random.seed(0)", "randomness is an argument"),
     (break_seed_law, "sim.robot.drive", "np.random.normal(size=3)", "randomness is an argument"),
     (break_seed_law, "sim.robot.drive", "from numpy.random import normal", "randomness is an argument"),

@@ -63,7 +63,7 @@ METHODS: dict[str, Method] = {
         "DeepGPS, compass",
         "#003f8c",
         "SE2",
-        "deepgps.methods.variants:fit_compass",
+        "deepgps.methods.compass:fit",
         "compass",
         "network",
         observes="polar_image",
@@ -79,12 +79,6 @@ METHODS: dict[str, Method] = {
         in_steps=False,
     ),
     "deepgps": Method("DeepGPS", "#0b62d6", "E2", "deepgps.methods.deepgps:fit", "distances", "network"),
-    "deepgps_noise_aware": Method(
-        "DeepGPS, noise-aware", "#00a3b4", "E2", "deepgps.methods.variants:fit_noise_aware", "distances", "network"
-    ),
-    "deepgps_with_turns": Method(
-        "DeepGPS, with turns", "#7048e8", "SE2", "deepgps.methods.variants:fit_with_turns", "wheels", "network"
-    ),
     "sfa_linear": Method(
         "Linear slow features", "#8a5a44", "E2", "deepgps.methods.sfa_linear:fit", "distances", "linear", in_steps=False
     ),

@@ -1,4 +1,4 @@
-"""Expected errors of encoders: residuals are divided by them, and plots draw them as a line.
+"""Expected errors of encoders: the map by compass weighs distances by them, and plots draw them as a line.
 
 The distance between two readings of a straight segment is the mean of the distances of two wheels. Its expected squared
 errors are:
@@ -19,15 +19,15 @@ from sim.recording.format import Recording
 from sim.sensors.encoder import check_odometry, expect_bias, expect_variance, measure_tick
 from sim.settings import EncoderSettings
 
-MAX_DISAGREEMENT = 4.0  # Standard deviations by which two wheels may differ on a straight segment
-RESOLUTION_M = 0.003  # Error of the network itself; smaller encoder errors do not matter. Chosen in one room [m]
+MAX_DISAGREEMENT, MAX_ERROR = 5.66, 4.0
+"""Standard deviations by which two wheels may differ on a straight segment, and its length from the true one."""
+RESOLUTION_M = 0.003  # Smaller errors of a segment's length do not matter [m]
 
 
 def expect_errors(recording: Recording, segments: Segments) -> Segments:
-    """Return the segments with the expected errors of their distances and a robust weight for each segment.
+    """Return the segments with the expected errors of their distances, and those that are doubted.
 
-    Where a wheel's encoder sticks or slips far, the two wheels of a straight segment disagree. A segment on which they
-    disagree by ``z`` standard deviations, more than ``MAX_DISAGREEMENT``, has the weight (MAX_DISAGREEMENT / z)^2.
+    Where a wheel's encoder sticks or slips far, the two wheels of a straight segment disagree.
     """
     odometry = check_odometry(recording.manifest.odometry)
     gap = segments.distance.diff(dim=1).clamp_min(0.0) * segments.valid[:, 1:]
@@ -35,9 +35,9 @@ def expect_errors(recording: Recording, segments: Segments) -> Segments:
     grown = expect_variance(odometry, gap, made_of)
     variance = torch.nn.functional.pad(grown.cumsum(dim=1), (1, 0))
     tick_m = measure_tick(odometry)
-    doubt = torch.from_numpy(measure_wheel_disagreement(recording, tick_m, odometry.get("slip_per_m", 0.0))).float()
-    weight = (MAX_DISAGREEMENT / doubt.clamp_min(MAX_DISAGREEMENT)).square()
-    return replace(segments, variance=variance, rounding_m2=tick_m**2 / 12.0, weight=weight)
+    apart = measure_wheel_disagreement(recording, tick_m, odometry.get("slip_per_m", 0.0))
+    doubted = torch.from_numpy(apart > MAX_DISAGREEMENT)
+    return replace(segments, variance=variance, rounding_m2=tick_m**2 / 12.0, doubted=doubted)
 
 
 def predict_rms(segments: Segments, encoder: EncoderSettings) -> float:
@@ -47,13 +47,6 @@ def predict_rms(segments: Segments, encoder: EncoderSettings) -> float:
     """
     distance, noise = _measure_complete(segments)
     return float((noise + expect_bias(encoder, distance)).mean().sqrt())
-
-
-def find_inliers(segments: Segments) -> torch.Tensor:
-    """Numbers (n,) int64 of the segments whose weight is at least a half; all of them where they have no weights."""
-    if segments.weight is None:
-        return torch.arange(len(segments.count))
-    return (segments.weight >= 0.5).nonzero()[:, 0]
 
 
 def measure_wheel_disagreement(recording: Recording, tick_m: float, slip_per_m: float) -> np.ndarray:
@@ -71,9 +64,9 @@ def measure_wheel_disagreement(recording: Recording, tick_m: float, slip_per_m: 
 
 
 def find_wrong(segments: Segments, error: np.ndarray) -> np.ndarray:
-    """Mask (L,) of complete segments with true errors (L,) [m] beyond ``MAX_DISAGREEMENT`` expected deviations."""
+    """Mask (L,) of complete segments with true errors (L,) [m] beyond ``MAX_ERROR`` expected deviations."""
     _, expected = _measure_complete(segments)
-    return np.abs(error) > MAX_DISAGREEMENT * np.sqrt(expected.numpy() + RESOLUTION_M**2)
+    return np.abs(error) > MAX_ERROR * np.sqrt(expected.numpy() + RESOLUTION_M**2)
 
 
 def _measure_complete(segments: Segments) -> tuple[torch.Tensor, torch.Tensor]:
@@ -82,27 +75,3 @@ def _measure_complete(segments: Segments) -> tuple[torch.Tensor, torch.Tensor]:
     last = (segments.count - 1)[:, None]
     length, variance = (table.gather(1, last)[:, 0].double() for table in (segments.distance, segments.variance))
     return length, variance + segments.rounding_m2
-
-
-def weigh_pairs(variance: torch.Tensor, rounding_m2: float) -> torch.Tensor:
-    """Factors (S, m, m) for residuals of distances between all pairs of readings, from the readings' variances (S, m).
-
-    1 / sqrt(1 + v / r^2), ``v`` the expected squared error and ``r`` the network's own error: 1 for perfect encoders.
-    """
-    between = (variance[:, :, None] - variance[:, None]).abs() + rounding_m2
-    return (1.0 + between / RESOLUTION_M**2).rsqrt()
-
-
-def weigh_places(variance: torch.Tensor, valid: torch.Tensor, rounding_m2: float) -> torch.Tensor:
-    """Factors (S, m) for residuals along the line, of readings relative to the mean of their segment.
-
-    Errors that add up have the covariance min(v_i, v_j), so that relative to the mean of n readings the variance is
-    v_i - 2 mean_j min(v_i, v_j) + mean_jk min(v_j, v_k). Rounding, ``q`` for a pair, leaves q (1 - 1/n) / 2.
-    """
-    weight = valid.to(variance.dtype)
-    share = weight / weight.sum(dim=1, keepdim=True).clamp_min(1.0)
-    common = torch.minimum(variance[:, :, None], variance[:, None])
-    mean = (common * share[:, None]).sum(dim=2)
-    left = variance - 2.0 * mean + (mean * share).sum(dim=1, keepdim=True)
-    rounding = rounding_m2 / 2.0 * (1.0 - share.amax(dim=1, keepdim=True))
-    return (1.0 + (left.clamp_min(0.0) + rounding) / RESOLUTION_M**2).rsqrt()

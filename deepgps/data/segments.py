@@ -83,7 +83,7 @@ class Segments:
     distance: torch.Tensor
     count: torch.Tensor  # Readings of each segment (L,) int64, at least 2
     skipped: int  # Segments left out because fewer than two readings arrived
-    weight: torch.Tensor | None = None  # Robust weight of each segment (L,), from 0 to 1; None: all are equal
+    doubted: torch.Tensor | None = None  # Segments on which the two wheels disagree (L,) bool; None: none
     # Part of each distance's expected squared error that grows with it (L, longest) [m^2]; None: unknown
     variance: torch.Tensor | None = None
     rounding_m2: float = 0.0  # Constant part of the expected squared error of a distance between two readings [m^2]
@@ -108,10 +108,6 @@ class Segments:
         """Return the segments ``rows`` (n,) int64, with their observations numbered as before."""
         tensors = {name: value[rows] for name, value in vars(self).items() if isinstance(value, torch.Tensor)}
         return replace(self, **tensors)
-
-    def replace_distances(self, rows: torch.Tensor, distance: torch.Tensor) -> "Segments":
-        """Return the segments with other distances (n, longest) [m] in the segments ``rows`` (n,) int64."""
-        return replace(self, distance=self.distance.index_copy(0, rows, distance))
 
     def through(self, observations: torch.Tensor) -> "Segments":
         """Return the segments through any of the observations marked (N,) bool."""

@@ -213,7 +213,7 @@ def _find_slip(diagnosis: Diagnosis, least: dict[str, float], fix: Correction) -
         "slip",
         f"Each wheel slips by {1000 * slip.value:.1f} mm ({1000 * slip.low:.1f} to {1000 * slip.high:.1f}) in a metre, "
         "at random.",
-        "nothing in the odometry; clean wheels and floor, drive slower, and learn with deepgps_noise_aware",
+        "nothing in the odometry; clean wheels and floor, drive slower, and learn with registration",
         f"--encoder.slip-per-m {slip.value:.4f}",
     )
 
@@ -225,7 +225,7 @@ def _find_step_noise(diagnosis: Diagnosis, least: dict[str, float], fix: Correct
         "step_noise",
         f"The distance between two readings is wrong by {_percent(diagnosis.step_noise)} of it, at random, for both "
         "wheels alike.",
-        "nothing in the odometry; look at the times of readings, and learn with deepgps_noise_aware",
+        "nothing in the odometry; look at the times of readings, and learn with registration",
         f"--encoder.step-noise {diagnosis.step_noise.value:.3f}",
     )
 

@@ -19,14 +19,13 @@ def judge_encoders(recording: Recording, truth: Truth) -> dict[str, Any]:
     segments = expect_errors(recording, read_segments(recording))
     encoder = EncoderSettings.model_validate(recording.manifest.settings.get("encoder", {}))
     _, error = measure_segments(recording, truth.pose)
-    assert segments.weight is not None
-    wrong, doubted = find_wrong(segments, error), segments.weight.numpy() < 0.5
+    assert segments.doubted is not None
+    wrong, doubted = find_wrong(segments, error), segments.doubted.numpy()
     return {
         "segment_rms_m": find_rms(error),  # RMS of the encoder's distance minus the true one [m]
         "segment_expected_m": predict_rms(segments, encoder),  # The RMS that theory predicts for these encoders [m]
         "segments_wrong": int(wrong.sum()),  # Segments with larger errors than noise explains
-        # Those to which a noise-aware method gives less than half the weight
-        "segments_down_weighted": int(doubted.sum()),
+        "segments_down_weighted": int(doubted.sum()),  # Those on which the two wheels disagree
         "wrong_doubted": int((wrong & doubted).sum()),  # Those that are both
     }
 

@@ -16,8 +16,6 @@ class Batch:
     index: torch.Tensor  # Observations (B,) or, segment by segment, (S, m)
     target: torch.Tensor  # Positions (B, 2) [m], or distances along the segment (S, m) [m]
     valid: torch.Tensor  # Which entries exist, in the shape of ``index``
-    # Expected squared error of each distance that grows with the distance [m^2]; None: not requested
-    variance: torch.Tensor | None = None
 
 
 class Inputs:
@@ -74,14 +72,11 @@ def sample_from(segments: Segments, settings: TrainSettings) -> Draw:
 
 
 def sample_batch(segments: Segments, count: int, samples: int, generator: torch.Generator) -> Batch:
-    """Draw ``count`` segments in proportion to readings times weight, and up to ``samples`` readings of each."""
-    often = segments.count.float() if segments.weight is None else segments.count * segments.weight
-    row = torch.multinomial(often, count, replacement=True, generator=generator)
+    """Draw ``count`` segments in proportion to their readings, and up to ``samples`` readings of each."""
+    row = torch.multinomial(segments.count.float(), count, replacement=True, generator=generator)
     valid = torch.arange(segments.index.shape[1], device=row.device) < segments.count[row, None]
     key = torch.rand(valid.shape, generator=generator, device=valid.device)
     place = key.masked_fill(~valid, 2.0).argsort(dim=1)[:, :samples]
     valid = valid.gather(1, place)
     place = place % segments.count[row, None]  # what fills short segments is theirs: batch normalisation sees it
-    index, along = segments.index[row].gather(1, place), segments.distance[row].gather(1, place)
-    variance = None if segments.variance is None else segments.variance[row].gather(1, place)
-    return Batch(index, along, valid, variance)
+    return Batch(segments.index[row].gather(1, place), segments.distance[row].gather(1, place), valid)

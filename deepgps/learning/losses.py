@@ -7,24 +7,10 @@ Two wrappers of a loss give a training an unfolded start: by imitation the netwo
 later is only kept near it; by lifting, a penalty flattens a network with more than two outputs into a plane.
 """
 
-from typing import NamedTuple
-
 import torch
 
 from deepgps.config.learning import LiftSettings, PairLoss
 from deepgps.learning.batches import Batch, Draw, Loss
-
-
-class Weights(NamedTuple):
-    """Weights of residuals; None: 1."""
-
-    pairs: torch.Tensor | None = None  # Weights of the distance between each two readings of a segment (S, m, m)
-    places: torch.Tensor | None = None  # Weights of each reading's place along its line (S, m)
-
-
-def weigh_equally(batch: object) -> Weights:
-    """Return the paper's weights: every residual counts the same."""
-    return Weights()
 
 
 def distance(first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
@@ -48,14 +34,7 @@ def normalised(d: torch.Tensor, c: torch.Tensor) -> torch.Tensor:
 PAIR_LOSSES = {"absolute": absolute, "normalised": normalised}
 
 
-def dense(
-    positions: torch.Tensor,
-    along: torch.Tensor,
-    valid: torch.Tensor,
-    kind: PairLoss,
-    trust: torch.Tensor | None = None,
-    curvature: float = 0.0,
-) -> torch.Tensor:
+def dense(positions: torch.Tensor, along: torch.Tensor, valid: torch.Tensor, kind: PairLoss) -> torch.Tensor:
     """Mean loss over all pairs inside each segment (Eq. 5).
 
     Args:
@@ -63,30 +42,17 @@ def dense(
         along: Distance of each sample from its segment's start (S, m) [m].
         valid: Which samples exist (S, m) bool.
         kind: Loss of one pair.
-        trust: Factor of each pair's loss (S, m, m); none: 1.
-        curvature: Of the segments [1 / m]: positions are as far apart as the chord, (2 / k) sin(k c / 2).
 
     Returns:
         A scalar; zero if there is no pair.
     """
     i, j = torch.triu_indices(positions.shape[1], positions.shape[1], offset=1, device=positions.device)
-    driven = (along[:, i] - along[:, j]).abs()
-    if curvature:
-        driven = 2.0 / curvature * (curvature * driven / 2.0).sin()
-    pair = PAIR_LOSSES[kind](distance(positions[:, i], positions[:, j]), driven)
+    pair = PAIR_LOSSES[kind](distance(positions[:, i], positions[:, j]), (along[:, i] - along[:, j]).abs())
     weight = (valid[:, i] & valid[:, j]).to(pair.dtype)
-    if trust is not None:
-        pair = pair * trust[:, i, j]
     return (pair * weight).sum() / weight.sum().clamp_min(1.0)
 
 
-def straight(
-    positions: torch.Tensor,
-    along: torch.Tensor,
-    valid: torch.Tensor,
-    trust: torch.Tensor | None = None,
-    curvature: float = 0.0,
-) -> torch.Tensor:
+def straight(positions: torch.Tensor, along: torch.Tensor, valid: torch.Tensor) -> torch.Tensor:
     """Mean distance of predictions from the straight line along which the robot drove; ours, not the paper's.
 
     All distances of a segment are right exactly when ``p_i = mean(p) + (c_i - mean(c)) u`` with a unit vector ``u``. A
@@ -98,10 +64,6 @@ def straight(
         positions: Predictions (S, m, D) [m].
         along: Distance of each sample from its segment's start (S, m) [m].
         valid: Which samples exist (S, m) bool.
-        trust: Factor of the part of the distance along the line (S, m), since encoders err along the line and not
-            across it; none: 1.
-        curvature: Of the segments, to the left [1 / m]; other than 0 only for positions in a plane that is not
-            mirrored. The line is then an arc: sin(k c) / k along ``u`` and (1 - cos(k c)) / k to its left.
 
     Returns:
         A scalar [m]; zero if there is no sample.
@@ -113,27 +75,18 @@ def straight(
     total = ((weight * c)[..., None] * p).sum(dim=1, keepdim=True)
     length = distance(total, torch.zeros_like(total))[..., None]
     u = total / torch.where(length > 0, length, 1.0)
-    if curvature:
-        left = torch.stack([-u[..., 1], u[..., 0]], dim=-1)
-        bent, c = (1.0 - (curvature * c).cos()) / curvature, (curvature * c).sin() / curvature
-        p = p - (bent - (share * bent).sum(dim=1, keepdim=True))[..., None] * left
-        c = c - (share * c).sum(dim=1, keepdim=True)
-    if trust is None:
-        away = distance(p, c[..., None] * u)
-    else:
-        ahead = ((p * u).sum(dim=-1) - c)[..., None] * u
-        away = distance(p - c[..., None] * u, (1.0 - trust[..., None]) * ahead)
+    away = distance(p, c[..., None] * u)
     return (away * weight).sum() / weight.sum().clamp_min(1.0)
 
 
 IMITATION_SHARE = 0.2  # Fraction of the steps in which the network imitates the initial map, with decreasing weight
 
 
-def imitate_first(loss: Loss, known: torch.Tensor, slack_m: float, weight: float = 1.0) -> Loss:
+def imitate_first(loss: Loss, known: torch.Tensor, slack_m: float) -> Loss:
     """Pull predictions towards an initial map (N, 2) [m], whose error is about ``slack_m``; NaN: not on the map.
 
-    At first all are pulled, while the loss takes over during the first ``IMITATION_SHARE`` of the steps; later, with
-    this weight, only those farther from the map than ``slack_m`` [m].
+    At first all are pulled, while the loss takes over during the first ``IMITATION_SHARE`` of the steps; later only
+    those farther from the map than ``slack_m`` [m].
     """
     mapped = known.isfinite().all(dim=1)
     known = known.where(mapped[:, None], 0.0)
@@ -144,7 +97,7 @@ def imitate_first(loss: Loss, known: torch.Tensor, slack_m: float, weight: float
         away = distance(out, known[batch.index]).where(used, 0.0)
         count = used.sum().clamp_min(1)
         imitation, leash = away.sum() / count, (away - slack_m).clamp_min(0.0).sum() / count
-        return (1.0 - pull) * (loss(out, batch, done) + weight * leash) + pull * imitation
+        return (1.0 - pull) * (loss(out, batch, done) + leash) + pull * imitation
 
     return both
 

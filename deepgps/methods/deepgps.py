@@ -9,7 +9,6 @@ the fold detector are ours.
 """
 
 import re
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,6 @@ import numpy as np
 import torch
 
 from deepgps.config.learning import LearnSettings, Start
-from deepgps.data.encoder_noise import find_inliers
 from deepgps.data.segments import Segments, find_stretches, subsample
 from deepgps.initial_map.distances.dense import find_initial_map
 from deepgps.initial_map.distances.end_points import find_end_point_map
@@ -65,58 +63,14 @@ def make_initial_map(
 
 
 @dataclass(frozen=True)
-class Variant:
-    """The steps that a variant of the method replaces; the defaults are the paper's method.
-
-    Attributes:
-        weigh: Returns the weights of a batch's residuals.
-        make_initial_map: See the function of this name.
-        orient: Positions (N, 2) of all training observations -> -1 if the map is mirrored, else 1. Distances alone
-            leave a mirror ambiguity, so by default the map is taken as it is.
-        curvature: Of what the robot drives for straight, to the left [1 / m].
-        any_length: Whether its initial map of the first attempt can be made of segments with two readings each.
-        held: Weight with which the network of the first attempt is held to its initial map to the end, for a map that
-            is better than the network; None: it is only kept within ``SLACK_M``.
-    """
-
-    weigh: Callable[[Batch], losses.Weights] = losses.weigh_equally
-    make_initial_map: Callable[[torch.Tensor, Segments, Start, int, int], tuple[torch.Tensor, Segments]] = (
-        make_initial_map
-    )
-    orient: Callable[[torch.Tensor], int] | None = None
-    curvature: float = 0.0
-    any_length: bool = False
-    held: float | None = None
-
-
-@dataclass(frozen=True)
 class Attempt:
     """One training and its map."""
 
     number: int  # Its number, counted from 0
     positioner: NetworkPositioner  # The trained network
     score: FoldScore  # How far its map is folded
-    # Observations that could be mirrored, as far as distances tell (N,) bool; none where turns tell
-    ambiguous: np.ndarray
+    ambiguous: np.ndarray  # Observations that could be mirrored, as far as distances tell (N,) bool
     seconds: float  # Duration of the training
-
-
-def train_until_unfolded(
-    train_once: Callable[[int, Path], Attempt], restarts: int, folder: Path
-) -> tuple[Attempt, list[Attempt]]:
-    """Train until a map shows no fold or no restart is left; returns the least folded attempt, and all of them.
-
-    The method's folder gets the history of the attempt that is chosen. ``train_once`` takes an attempt's number and
-    folder.
-    """
-    attempts = []
-    for number in range(restarts + 1):
-        attempts.append(train_once(number, _folder_of(folder, number)))
-        if not attempts[-1].score.folded:
-            break
-    best = min(range(len(attempts)), key=lambda number: attempts[number].score.worst)
-    write_bytes(folder / HISTORY, (_folder_of(folder, best) / HISTORY).read_bytes())
-    return attempts[best], attempts
 
 
 def label_attempt(folder: Path, number: int) -> str:
@@ -138,19 +92,14 @@ def _folder_of(folder: Path, number: int) -> Path:
 
 
 def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
-    """Train DeepGPS on images and distances alone."""
-    return fit_data(prepare(recording, settings, seed, folder.parent), Variant(), settings, seed, folder, progress)
-
-
-def fit_data(
-    data: TrainingData, variant: Variant, settings: LearnSettings, seed: int, folder: Path, progress: Report
-) -> Fitted:
-    """Train a variant of DeepGPS, with this seed, until its map is unfolded or no restart is left."""
-
-    def train_once(number: int, folder: Path) -> Attempt:
-        return train_attempt(data, variant, settings, seed, number, folder, progress)
-
-    best, attempts = train_until_unfolded(train_once, settings.fold.restarts, folder)
+    """Train DeepGPS on images and distances alone until a map shows no fold or no restart is left; the best is kept."""
+    data, attempts = prepare(recording, settings, seed, folder.parent), []
+    for number in range(settings.fold.restarts + 1):
+        attempts.append(train_attempt(data, settings, seed, number, _folder_of(folder, number), progress))
+        if not attempts[-1].score.folded:
+            break
+    best = min(attempts, key=lambda attempt: attempt.score.worst)
+    write_bytes(folder / HISTORY, (_folder_of(folder, best.number) / HISTORY).read_bytes())
     training = {
         "steps": settings.train.steps * len(attempts),  # Steps of all attempts
         "train_s": round(sum(attempt.seconds for attempt in attempts), 1),  # Seconds of all attempts
@@ -161,43 +110,32 @@ def fit_data(
         "fold": {"found": best.score.folded, **asdict(best.score)},
         "map": record_undecided(best.ambiguous),  # What is undecided of the map
         "segments_skipped": data.segments.skipped,  # Segments that were not used
-        # Segments with a weight below a half
-        "segments_down_weighted": len(data.segments.count) - len(find_inliers(data.segments)),
     }
     return Fitted(best.positioner, training)
 
 
 def train_attempt(
-    data: TrainingData,
-    variant: Variant,
-    settings: LearnSettings,
-    seed: int,
-    number: int,
-    folder: Path,
-    progress: Report,
+    data: TrainingData, settings: LearnSettings, seed: int, number: int, folder: Path, progress: Report
 ) -> Attempt:
-    """Train once: the method from its input to its map. Arguments as in ``fit_data``; ``number`` counts from 0."""
+    """Train once: the method from its input to its map; attempts are counted from 0."""
     # 1. The input: segments of known length, and features that change slowly along them (ours).
-    inliers = find_inliers(data.segments)
-    segments = data.segments.take(inliers)
+    segments = data.segments
     # 2. The network from an image to a position (Sec. III), with more outputs where lifting unfolds the map (ours).
-    start, label = choose_start(settings, data.segments, number, variant.any_length), label_attempt(folder, number)
+    start, label = choose_start(settings, segments, number), label_attempt(folder, number)
     network = new_network(data, settings, settings.lift.dimensions if start == "lifting" else 2, seed, number)
     # 3. The loss: distances on the map equal those driven (Eq. 2, 3, 5), and segments are straight (ours).
-    follows = start in INITIAL_MAPS and number == 0  # a map from any other start may be mirrored
-    loss = segment_loss(settings, variant.weigh, variant.curvature if follows else 0.0)
+    loss = segment_loss(settings)
     # 4. An unfolded start, which also corrects the distances of noisy encoders (ours).
     if start in INITIAL_MAPS:
         progress(f"{label}: initial map", 0, 1)
-        places, corrected = variant.make_initial_map(data.features, segments, start, seed, number)
-        known, learned = places.float(), data.segments.replace_distances(inliers, corrected.distance).learned
+        places, corrected = make_initial_map(data.features, segments, start, seed, number)
+        known, learned = places.float(), corrected.learned
         progress(f"{label}: initial map", 1, 1)
-        near = (0.0, variant.held) if variant.held and number == 0 else (SLACK_M[start], 1.0)
-        loss = imitate_first(loss, known.to(data.device), *near)
-        mapped = corrected.learned.through(known.isfinite().all(dim=1))
+        loss = imitate_first(loss, known.to(data.device), SLACK_M[start])
+        mapped = learned.through(known.isfinite().all(dim=1))
         draw = sample_mapped_first(*(sample_from(some.to(data.device), settings.train) for some in (learned, mapped)))
     else:
-        draw = sample_from(data.segments.learned.to(data.device), settings.train)
+        draw = sample_from(segments.learned.to(data.device), settings.train)
         if start == "lifting":
             loss = flatten_later(loss, settings.lift)
     # 5. Gradient descent.
@@ -210,9 +148,7 @@ def train_attempt(
     places = (out - centre) @ axes
     score = score_folding(places.double().numpy(), data.features, segments, make_generator(seed, "fold", number))
     ambiguous = np.zeros(len(places), bool)
-    if variant.orient:
-        axes = axes * torch.tensor([1.0, variant.orient(places)])
-    elif has_lines(segments):
+    if has_lines(segments):
         ambiguous = find_ambiguous(places.double().numpy(), data.features, segments)
     return Attempt(number, as_positioner(data, settings, network, centre, axes), score, ambiguous, seconds)
 
@@ -223,13 +159,12 @@ def record_undecided(undecided: np.ndarray) -> dict[str, Any]:
     return {"undecided": round(float(undecided.mean()), 4), "parts": find_stretches(undecided).tolist()}
 
 
-def choose_start(settings: LearnSettings, segments: Segments, number: int = 0, any_length: bool = False) -> Start:
+def choose_start(settings: LearnSettings, segments: Segments, number: int = 0) -> Start:
     """Choose the start of an attempt: ``auto`` is paths at first, where a map can be made, and else lifting.
 
-    ``any_length``: the first attempt's map can be made of segments with two readings each. Raises InputError if the
-    start is set to paths, and no map can be made.
+    Raises InputError if the start is set to paths, and no map can be made.
     """
-    enough = has_lines(segments) or (any_length and number == 0)
+    enough = has_lines(segments)
     if settings.start == "auto":
         return "paths" if number == 0 and enough else "lifting"
     if settings.start == "paths" and not enough:
@@ -239,14 +174,13 @@ def choose_start(settings: LearnSettings, segments: Segments, number: int = 0, a
     return settings.start
 
 
-def segment_loss(settings: LearnSettings, weigh: Callable[[Batch], losses.Weights], curvature: float = 0.0) -> Loss:
-    """The paper's dense loss (Eq. 5) plus our loss of straightness times its weight, for segments of a curvature."""
+def segment_loss(settings: LearnSettings) -> Loss:
+    """The paper's dense loss (Eq. 5) plus our loss of straightness times its weight."""
 
     def both(out: torch.Tensor, batch: Batch, done: torch.Tensor) -> torch.Tensor:
-        weights = weigh(batch)
-        pairs = losses.dense(out, batch.target, batch.valid, settings.loss, weights.pairs, curvature)
+        pairs = losses.dense(out, batch.target, batch.valid, settings.loss)
         if settings.straight == 0.0:
             return pairs
-        return pairs + settings.straight * losses.straight(out, batch.target, batch.valid, weights.places, curvature)
+        return pairs + settings.straight * losses.straight(out, batch.target, batch.valid)
 
     return both

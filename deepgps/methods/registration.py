@@ -13,12 +13,11 @@ import numpy as np
 import torch
 
 from deepgps.config.learning import LearnSettings
-from deepgps.data.encoder_noise import find_inliers
 from deepgps.data.features import Features
 from deepgps.data.segments import find_held_out, find_owners, spread_evenly
 from deepgps.learning.training_data import TrainingData, prepare
+from deepgps.methods.compass import find_mount, map_by_compass
 from deepgps.methods.deepgps import choose_start, make_initial_map
-from deepgps.methods.variants import find_mount, map_by_compass
 from deepgps.positioner.heading_fit import fit_lines
 from deepgps.positioner.kriging import KERNELS, Kernel, choose_kernel, find_others, krige
 from deepgps.positioner.pixels import KnownPixels, grey, turn
@@ -46,7 +45,7 @@ UNCALIBRATED = Calibration(1.0, 1.0, np.inf, np.inf, 1.0, (1.0, 1.0), 1.0)
 def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
     """Learn on the map by compass."""
     start = time.perf_counter()
-    data, _, found, record = map_by_compass(recording, settings, seed, folder, progress)
+    data, found, record = map_by_compass(recording, settings, seed, folder, progress)
     places = np.where(found.undecided[:, None], np.nan, found.places)
     positioner = learn(data, places, found.heading, found.std)
     return finish(replace(positioner, mount=find_mount(found)), start, progress, folder).note(record)
@@ -57,9 +56,8 @@ def fit_distances(recording: Recording, settings: LearnSettings, seed: int, fold
     data, start = prepare(recording, settings, seed, folder.parent), time.perf_counter()
     if (kind := choose_start(settings, data.segments)) == "lifting":
         raise InputError("registration_distances: a map needs segments with more than two readings each")
-    segments = data.segments.take(find_inliers(data.segments))
     progress(f"{folder.name}: initial map", 0, 1)
-    places = make_initial_map(data.features, segments, kind, seed, 0)[0].numpy()
+    places = make_initial_map(data.features, data.segments, kind, seed, 0)[0].numpy()
     return finish(learn(data, places, fit_lines(recording, places).heading), start, progress, folder)
 
 

@@ -172,7 +172,7 @@ FAULTS: tuple[Fault, ...] = (
 
 
 DATA_SHEET_SETTINGS = tuple(fault.settings[0] for fault in FAULTS if fault.variance)
-"""Settings whose values a robot's builder knows, so that recordings hold them and noise-aware methods use them."""
+"""Settings whose values a robot's builder knows, so that recordings hold them and methods use them."""
 
 
 def expect_variance(odometry: Mapping[str, float], gap: Any, made_of: Any) -> Any:

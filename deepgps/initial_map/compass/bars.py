@@ -128,8 +128,8 @@ def lay_out(segments: Segments, turns: CompassTurns, curvature: float) -> Bars:
     length = distance[end] - distance[begin]
     squared = variance[end] - variance[begin] + segments.rounding_m2
     scale_std = (np.sqrt(squared) / length.clip(MIN_DISTANCE_M)).clip(MIN_LENGTH_STD, MAX_LENGTH_STD)
-    if segments.weight is not None:
-        scale_std[segments.weight.numpy()[segment] < 0.5] = MAX_LENGTH_STD
+    if segments.doubted is not None:
+        scale_std[segments.doubted.numpy()[segment]] = MAX_LENGTH_STD
     along = distance[segment[row], column] - distance[begin][row]
     grown = variance[segment[row], column] - variance[begin][row]
     bars = Bars(

@@ -12,12 +12,11 @@ follows from slopes of unit length. A part that few bars reach has slow modes of
 too; and false loop closures, which bend all modes, lose their weight round by round (iteratively reweighted least
 squares).
 
-Turns measured by the wheels give a path to start from, and choose between two mirrored maps, which distances along
-segments leave open, even where encoders slip so far that the path itself is useless. The ground truth is not used.
+Distances along segments leave open which of two mirrored maps is right; turns tell it, even by wheels that slip so far
+that their path is useless. The ground truth is not used.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -25,12 +24,11 @@ from scipy.sparse import csc_array, csr_array, diags_array
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import ArpackError, LinearOperator, eigsh
 
-from deepgps.data.segments import Segments, dead_reckon, find_runs
+from deepgps.data.segments import Segments
 from deepgps.initial_map.compass.least_squares import factorise
 from deepgps.initial_map.distances.folding import measure_overlap
 from deepgps.initial_map.distances.isomap import NEIGHBOURS, LoopClosures, find_loop_closures, map_by_paths
-from deepgps.initial_map.distances.pose_graph import PoseGraph, Relaxed, build_pose_graph, relax, relax_unevenly
-from sim.recording.format import Recording
+from deepgps.initial_map.distances.pose_graph import PoseGraph, build_pose_graph, relax, relax_unevenly
 
 MODES, USED_MODES = 16, (2, 3, 4, 5)
 """Modes that are computed, and how many of those that spread over the map are used for each map that is tried."""
@@ -162,30 +160,6 @@ def _keep_largest_part(count: int, segments: Segments, closures: LoopClosures) -
     placed = np.zeros(count, bool)
     placed[graph.observation[part == np.bincount(part).argmax()]] = True
     return build_pose_graph(segments, closures, placed)
-
-
-@dataclass(frozen=True)
-class WheelTurns:
-    """Path and turns of a complete drive, measured by the wheels."""
-
-    path: np.ndarray  # Dead-reckoned position of each observation (N, 2) [m]; NaN where no reading arrived
-    angle: np.ndarray  # Turn from each segment to the next, to the left (L - 1,) [rad]; segments as in ``Segments``
-
-
-def read_turns(recording: Recording) -> WheelTurns:
-    """Read the path and turns of a recording, measured by its wheels."""
-    pose, observation = dead_reckon(recording), recording.reading[:, 1]
-    seen, first = np.unique(observation, return_index=True)
-    path = np.full((len(recording.observation), 2), np.nan)
-    path[seen] = pose[first, :2]
-    heading = np.array([pose[run, 2].mean() for run in find_runs(recording) if len(run) >= 2])
-    return WheelTurns(path, np.diff(heading))
-
-
-def straighten(turns: WheelTurns, features: torch.Tensor, segments: Segments, rng: np.random.Generator) -> Relaxed:
-    """The path, relaxed until segments and loop closures by features (N, K) fit; noise is sampled by ``rng``."""
-    closures = find_loop_closures(features, segments, NEIGHBOURS[:1])[0]
-    return relax_unevenly(relax(turns.path, segments, closures)[0], segments, closures, rng)
 
 
 def find_chirality(positions: np.ndarray, segments: Segments, angle: np.ndarray) -> int:

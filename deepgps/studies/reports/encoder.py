@@ -120,15 +120,14 @@ def _list_targets() -> list[Target]:
         return {"method": method, "sweep": TITLES[setting,], "value": value}
 
     targets = []
-    for method, prefix in (("deepgps", ""), ("deepgps_noise_aware", "aware_")):
-        title, perfect = title_of(method), select(method, TICKS, FAULTLESS_VALUES[TICKS])
-        at_noise = select(method, NOISE, 0.1)
-        targets.append(Target(f"{prefix}rms_w", f"RMS at w = 0.10, {title}", "rms_m", at_noise))
-        for ticks in (16, 4):
-            name, words = f"{prefix}ticks_{ticks}", f"RMS at {ticks} ticks / perfect, {title}"
-            targets.append(Target(name, words, "rms_m", select(method, TICKS, ticks), perfect))
+    method, ignorant = "deepgps", title_of("deepgps")
+    perfect = select(method, TICKS, FAULTLESS_VALUES[TICKS])
+    targets.append(Target("rms_w", f"RMS at w = 0.10, {ignorant}", "rms_m", select(method, NOISE, 0.1)))
+    for ticks in (16, 4):
+        words = f"RMS at {ticks} ticks / perfect, {ignorant}"
+        targets.append(Target(f"ticks_{ticks}", words, "rms_m", select(method, TICKS, ticks), perfect))
     method = "deepgps_compass"
-    title, ignorant = title_of(method), title_of("deepgps")
+    title = title_of(method)
     for key, setting, value in (("w", NOISE, 0.3), ("radius", RADIUS, 0.01), ("slip", SLIP, 0.1)):
         ours, theirs = (select(name, setting, value) for name in (method, "deepgps"))
         words = f"{title}: RMS / {ignorant}'s, {TITLES[setting,]} {value:g}"

@@ -25,15 +25,7 @@ LEARN = {
     "fold": {"restarts": 0},
 }
 METHODS_OF = {
-    "room": (
-        "deepgps_compass",
-        "deepgps",
-        "deepgps_noise_aware",
-        "deepgps_with_turns",
-        "posenet",
-        "dead_reckoned_labels",
-        "knn",
-    ),
+    "room": ("deepgps_compass", "deepgps", "posenet", "dead_reckoned_labels", "knn"),
     "obstacles": ("deepgps", "pca_knn"),
     "landmarks": ("explicit", "explicit_mds"),
 }

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from deepgps.initial_map.compass.compass_map import CompassMap
-from deepgps.methods.variants import find_mount
+from deepgps.methods.compass import find_mount
 from deepgps.positioner.heading_fit import make_headings
 from deepgps.positioner.pose import find_poses
 from deepgps.positioner.positioner import NetworkPositioner

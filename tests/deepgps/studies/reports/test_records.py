@@ -286,7 +286,7 @@ NAMES = (
     *("encoder.slip_per_m", "encoder.stuck_fraction", "robot.wheel_radius_error"),
 )
 TICKS, W, LEFT_RADIUS, RIGHT_RADIUS = NAMES[:4]
-SHARES = (("deepgps", 1.0), ("deepgps_noise_aware", 0.5))
+SHARES = (("deepgps", 1.0), ("deepgps_compass", 0.5))
 
 
 def make_sweeps(rms: dict[tuple, float], shares: tuple[tuple[str, float], ...] = SHARES) -> list[Row]:
@@ -359,7 +359,7 @@ def test_what_its_map_expects_and_what_is_good_enough_are_drawn() -> None:
     )
     lines = {str(line.get_label()): np.asarray(line.get_ydata(), float) for line in errors.lines}
     np.testing.assert_allclose(lines["DeepGPS, expected by its map"], lines["DeepGPS"] / 2)
-    assert not any("noise-aware, expected" in label for label in lines)
+    assert not any("compass, expected" in label for label in lines)
     lines = {str(line.get_label()): np.asarray(line.get_ydata(), float).tolist() for line in near.lines}
     assert near.get_ylim() == (0, 100)
     assert (lines["DeepGPS"], lines["good enough"]) == (pytest.approx([90, 89.5, 89, 70]), pytest.approx([80] * 4))
