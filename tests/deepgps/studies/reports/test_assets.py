@@ -69,4 +69,4 @@ def test_the_encoder_study_asks_of_every_fault_with_five_seeds_and_shares_five_d
     robots = {one.scenario.robot.wheel_radius_error for one in plans}
     assert (len(robots), len({one.scenario.seed for one in plans})) == (3, 5)
     assert len({drive.model_dump_json() for drive in find_drives(plans).values()}) == 5 * len(robots)
-    assert len(plans[0].scenario.methods) == 6
+    assert len(plans[0].scenario.methods) == 4
