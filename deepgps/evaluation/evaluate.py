@@ -132,7 +132,7 @@ def _measure(run: Path, scenario: Scenario, progress: Report) -> dict[str, Any]:
         "test": {"held_out": bool(scenario.grid.held_out), "headings": some.predicted.shape[1]},
         # Test positions, and how many of them the drive has seen
         "coverage": measure_coverage(some.truth, truth.pose[:, :2]),
-        # Drift of the dead-reckoned path: RMS and largest error after an SE2 alignment of it
+        # Drift of the dead-reckoned path: RMS, median and largest error after an SE2 alignment
         "trajectory": measure_trajectory(recording, truth),
         "distances": judge_encoders(recording, truth),  # Errors of the encoders' distances along complete segments
         # Images of the deployment drive, where there is one
@@ -233,8 +233,8 @@ def measure_heading_spread(predicted: np.ndarray) -> float:
 
 
 def measure_trajectory(recording: Recording, truth: Truth) -> dict[str, float]:
-    """Drift of the dead-reckoned path: RMS and largest error [m] after an SE2 alignment of the entire path."""
+    """Drift of the dead-reckoned path: RMS, median and largest error [m] after an SE2 alignment of the entire path."""
     path = dead_reckon(recording)[:, :2]
     driven = truth.pose[recording.reading[:, 1], :2]
     error = np.linalg.norm(fit_alignment(path, driven, "SE2").apply(path) - driven, axis=1)
-    return {"rms_m": find_rms(error), "max_m": float(error.max())}
+    return {"rms_m": find_rms(error), "median_m": float(np.median(error)), "max_m": float(error.max())}

@@ -141,3 +141,13 @@ def test_what_does_not_exist_is_named_in_one_line(run: deepgps.Run, tmp_path: Pa
         with pytest.raises(deepgps.InputError, match=message) as caught:
             call()
         assert "\n" not in str(caught.value)
+
+
+@pytest.mark.slow
+def test_the_smallest_scenario_shows_registration_ahead_of_the_nearest_image_and_of_the_wheels(tmp_path: Path):
+    run = deepgps.simulate("tiny", tmp_path / "run", methods=["registration", "knn"], progress=False)
+    found = {**run.metrics["methods"], "wheels": run.metrics["trajectory"]}
+    for figure in ("rms_m", "median_m", "max_m"):
+        registered, nearest, wheels = (found[name][figure] for name in ("registration", "knn", "wheels"))
+        assert registered < 0.7 * nearest and nearest < 0.2 * wheels, figure
+    assert found["registration"]["rms_m"] < 0.03

@@ -41,8 +41,8 @@ def test_true_is_no_number_of_any_setting_and_false_of_none():
     for name in numbers:
         for value in (True, False):
             with pytest.raises(InputError, match=f"{name} {value}: must be numeric, not true or false"):
-                load_scenario("tiny", {name: value})
-    assert load_scenario("tiny", {"drive.turn_images": False}).drive.turn_images is False
+                load_scenario("quick", {name: value})
+    assert load_scenario("quick", {"drive.turn_images": False}).drive.turn_images is False
 
 
 def test_numbers_that_yaml_reads_as_text_are_numbers(tmp_path):
@@ -302,7 +302,7 @@ def test_a_file_is_named_unless_the_overrides_alone_are_wrong(tmp_path):
     ],
 )
 def test_settings_that_change_nothing_are_no_reason_to_refuse(overrides):
-    load_scenario("tiny", overrides)
+    load_scenario("quick", overrides)
 
 
 def test_scenarios_are_frozen():

@@ -37,7 +37,9 @@ def test_the_table_holds_the_metrics_in_centimetres(metrics: dict) -> None:
     assert deepgps["max [cm]"] == "5.0"
     assert deepgps["RMS / side"] == f"{100 * np.sqrt(50 / 4) / 430:.2f} %"
     assert deepgps["align"] == "E2"
-    assert [row[0] for row in rows] == ["DeepGPS", "mine"]
+    path = dict(zip(headings, rows[2], strict=True))
+    assert (path["RMS [cm]"], path["max [cm]"], path["align"]) == ("41.0", "103.0", "-")
+    assert [row[0] for row in rows] == ["DeepGPS", "mine", "Dead reckoning, path"]
 
 
 def test_a_figure_that_a_method_lacks_is_a_dash_in_both_forms_of_the_table(metrics: dict) -> None:
@@ -45,14 +47,14 @@ def test_a_figure_that_a_method_lacks_is_a_dash_in_both_forms_of_the_table(metri
     headings, rows = tabulate(metrics)
     assert rows[1][headings.index("scale")] == "-"
     lines = markdown_table(metrics).splitlines()
-    assert len(lines) == 2 + len(metrics["methods"]) and {line.count("|") for line in lines} == {len(COLUMNS) + 1}
+    assert len(lines) == 3 + len(metrics["methods"]) and {line.count("|") for line in lines} == {len(COLUMNS) + 1}
 
 
 def test_yaw_has_a_column_where_a_method_tells_one_and_that_of_what_is_accepted_below(metrics: dict) -> None:
     assert "yaw [deg]" not in tabulate(metrics)[0]
     values = metrics["methods"]["deepgps"]
     values["yaw_rms_deg"] = 4.0
-    for shown in (["4.0", "-"], ["4.0", "0.4", "-"]):
+    for shown in (["4.0", "-", "-"], ["4.0", "0.4", "-", "-"]):
         headings, rows = tabulate(metrics)
         assert [row[headings.index("yaw [deg]")] for row in rows] == shown
         accept_some(values)
@@ -144,7 +146,7 @@ def test_errors_of_what_is_accepted_are_below_those_of_all(metrics: dict) -> Non
     headings, rows = tabulate(metrics)
     accept_some(metrics["methods"]["mine"])
     _, more = tabulate(metrics)
-    assert more[:2] == rows and len(more) == 3
+    assert more[:2] == rows[:2] and len(more) == 4
     accepted = dict(zip(headings, more[2], strict=True))
     assert accepted["method"].strip() == "98.1 % accepted"
     assert accepted["RMS [cm]"] == accepted["p95 [cm]"] == accepted["max [cm]"] == "1.1"
