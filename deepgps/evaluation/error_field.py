@@ -10,7 +10,7 @@ from sim.errors import DamagedError, InputError
 from sim.files.checksums import damaged, read_arrays, write_arrays
 from sim.geometry import wrap
 
-OPTIONAL_ARRAYS = ("yaw", "yaw_std", "yaw_weight", "expected", "novelty", "radius", "radius_95", "accepted")
+OPTIONAL_ARRAYS = ("yaw", "yaw_std", "expected", "novelty", "radius", "radius_95", "accepted")
 """Arrays that some methods have, in the file as ``<array>/<method>``."""
 REPAIR_HINT = "deepgps run with the same scenario and --out measures the methods again"
 
@@ -26,11 +26,9 @@ class ErrorField:
     yaw: np.ndarray | None = None
     # Its standard deviation, as the method estimates it (C, H) [rad]; None like ``yaw``
     yaw_std: np.ndarray | None = None
-    # Share of the stored images compared that agree on the yaw (C, H); None like ``yaw``
-    yaw_weight: np.ndarray | None = None
     # RMS error that the initial map's own covariance expects there (C,) [m]; None: the method knows none
     expected: np.ndarray | None = None
-    # How unlike all training images each image is (C, H); None: the method does not say
+    # Error to be expected of each image (C, H) [m]; None: the method does not say
     novelty: np.ndarray | None = None
     # Radius around the prediction that holds the true position with a probability of 68 % (C, H) [m]; None: the
     # method gives none

@@ -180,11 +180,7 @@ def make_field(poses: Poses, true: np.ndarray, alignment: Alignment, with_yaw: b
     shape, known = true.shape[:2], np.isfinite(true).all(axis=(1, 2))
     parts = {name: getattr(poses, source) for name, source in PARTS.items()}
     if with_yaw and poses.yaw is not None:
-        parts |= {
-            "yaw": alignment.turn(poses.yaw.reshape(shape)),
-            "yaw_std": poses.yaw_std,
-            "yaw_weight": poses.yaw_weight,
-        }
+        parts |= {"yaw": alignment.turn(poses.yaw.reshape(shape)), "yaw_std": poses.yaw_std}
     parts = {name: np.reshape(part, shape)[known] for name, part in parts.items() if part is not None}
     predicted, pose = alignment.apply(poses.position).reshape(*shape, 2)[known], true[known]
     heading = pose[..., 2]

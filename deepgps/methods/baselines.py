@@ -18,9 +18,8 @@ from deepgps.data.labels import read_places
 from deepgps.data.segments import dead_reckon, leave_held_out
 from deepgps.learning.trainer import make_generator
 from deepgps.learning.training_data import prepare
-from deepgps.methods.registration import finish, learn
+from deepgps.methods.registration import find_headings, finish
 from deepgps.methods.regression import fit_positions
-from deepgps.positioner.heading_fit import fit_lines
 from deepgps.positioner.positioner import Fitted, NeighbourPositioner
 from deepgps.positioner.without_features import ScanPositioner
 from deepgps.terminal.progress import Report
@@ -146,4 +145,4 @@ def fit_registration(
     index, label = read_places(recording)
     places = np.full((len(recording.observation), 2), np.nan)
     places[index.numpy()] = label.numpy()
-    return finish(learn(data, places, fit_lines(recording, places).heading), start, progress, folder)
+    return finish(data, places, find_headings(recording, places), start, progress, folder)

@@ -8,23 +8,21 @@ from pkgutil import resolve_name
 from typing import Any
 
 import numpy as np
-import torch
 
 from deepgps.config.learning import LearnSettings
 from deepgps.config.methods import METHODS
 from deepgps.data.checks import check_observations, check_recording
-from deepgps.data.segments import fill_stretches, read_segments
-from deepgps.initial_map.stored_map import StoredMap, read_map
+from deepgps.data.segments import fill_stretches
+from deepgps.initial_map.stored_map import read_map
 from deepgps.learning.trainer import describe_device, use_threads
+from deepgps.learning.training_data import prepare
 from deepgps.methods.deepgps import remove_leftovers
-from deepgps.positioner.confidence_fit import make_confidence
-from deepgps.positioner.heading_fit import make_headings
+from deepgps.methods.registration import find_headings, learn
 from deepgps.positioner.positioner import FeaturePositioner, Fitted, Positioner
-from deepgps.positioner.registration import RegistrationPositioner
 from deepgps.positioner.stored_positioner import is_finished, load_positioner, save_positioner
 from deepgps.positioner.without_features import ArrayPositioner
 from deepgps.terminal.progress import Report, ignore
-from sim.errors import WorkError
+from sim.errors import InputError, WorkError
 from sim.recording.format import Recording, observation_file
 
 
@@ -51,10 +49,8 @@ def fit_method(
                 parameters = sum(np.asarray(array).size for array in positioner.values())
                 took = {"steps": 0, "train_s": round(time.perf_counter() - start, 1), "parameters": parameters}
                 positioner, training = ArrayPositioner(name, positioner), {**took, **training}
-            positioner = learn_headings(positioner, recording, folder)
-            mapped = None if training.get("attempt") else read_map(folder)  # restarts do not begin with this map
-            undecided = fill_stretches(training.get("map", {}).get("parts", []), len(recording.observation))
-            positioner = learn_confidence(positioner, recording, mapped, undecided, method.reads_ticks)
+            if isinstance(positioner, FeaturePositioner) and positioner.appearance is None:
+                positioner = learn_appearance(positioner, training, recording, settings, seed, folder)
             device = describe_device(settings.train.device, settings.train.bfloat16)
             made = {"trained_on": device} if method.in_steps else {}
             save_positioner(folder, positioner, {**training, **made})
@@ -62,34 +58,24 @@ def fit_method(
         return load_positioner(folder)
 
 
-def learn_headings(positioner: Any, recording: Recording, folder: Path) -> Any:
-    """The positioner with a table of headings from its own map, if it takes polar images."""
-    if recording.kind != "polar_image" or not _needs_tables(positioner):
-        return positioner
-    positions = positioner(recording.observation)  # the camera's, since there is no yaw yet
-    if positioner.upright is not None:
-        recording = replace(recording, observation=positioner.upright.copy(recording.observation, folder))
-    headings = make_headings(recording, positions)
-    return positioner if headings is None else replace(positioner, headings=headings)
+def learn_appearance(
+    positioner: FeaturePositioner,
+    training: Mapping[str, Any],
+    recording: Recording,
+    settings: LearnSettings,
+    seed: int,
+    folder: Path,
+) -> FeaturePositioner:
+    """The positioner with what is seen where on its own map; the same where too few segments pass one another.
 
-
-def learn_confidence(
-    positioner: Any, recording: Recording, mapped: StoredMap | None, undecided: np.ndarray, reads_ticks: bool
-) -> Any:
-    """The positioner with a table of confidence from its own map, if there are features of its observations.
-
-    ``mapped`` is the map from which its training started, if that is known with its errors, ``undecided`` (N,) bool the
-    observations that may lie elsewhere on its map, and ``reads_ticks`` whether it learned from the encoders.
+    Observations that may lie elsewhere are left out, so that those like them are refused.
     """
-    if not _needs_tables(positioner):
+    data = prepare(recording, settings, seed, folder.parent, positioner.upright)
+    places = positioner.locate_camera(recording.observation)
+    places[fill_stretches(training.get("map", {}).get("parts", []), len(places))] = np.nan
+    mapped = None if training.get("attempt") else read_map(folder)  # restarts do not begin with this map
+    std = None if mapped is None else np.nan_to_num(mapped.expected / np.sqrt(2.0))
+    try:
+        return replace(positioner, appearance=learn(data, places, find_headings(recording, places), std)[0])
+    except InputError:
         return positioner
-    segments, (camera, features) = read_segments(recording), positioner.locate_with_features(recording.observation)
-    if not reads_ticks:  # images are evenly spaced
-        segments = replace(segments, distance=torch.arange(segments.index.shape[1]).expand(segments.index.shape))
-    map_std = None if mapped is None else mapped.expected / np.sqrt(2.0)
-    table = make_confidence(segments, features, camera, map_std, undecided)
-    return positioner if table is None else replace(positioner, confidence=table)
-
-
-def _needs_tables(positioner: Any) -> bool:
-    return isinstance(positioner, FeaturePositioner) and not isinstance(positioner, RegistrationPositioner)

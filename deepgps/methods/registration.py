@@ -14,15 +14,15 @@ import torch
 
 from deepgps.config.learning import LearnSettings
 from deepgps.data.features import Features
-from deepgps.data.segments import find_held_out, find_owners, spread_evenly
+from deepgps.data.segments import find_held_out, find_owners, find_runs, spread_evenly
 from deepgps.learning.training_data import TrainingData, prepare
 from deepgps.methods.compass import find_mount, map_by_compass
 from deepgps.methods.deepgps import choose_start, make_initial_map
-from deepgps.positioner.heading_fit import fit_lines
+from deepgps.positioner.appearance import AppearanceMap
 from deepgps.positioner.kriging import KERNELS, Kernel, choose_kernel, find_others, krige
 from deepgps.positioner.pixels import KnownPixels, grey, turn
-from deepgps.positioner.positioner import Fitted
-from deepgps.positioner.registration import ALL_ROUNDS, Calibration, RegistrationPositioner, fuse
+from deepgps.positioner.positioner import Fitted, RegistrationPositioner
+from deepgps.positioner.registration import ALL_ROUNDS, Calibration, Registration, fuse
 from deepgps.terminal.progress import Report
 from sim.errors import InputError
 from sim.geometry import wrap
@@ -39,7 +39,7 @@ MIN_NOISE = 0.1  # Least noise of a ring, over the mean of all
 LIKE_SHARE, MARGIN = 0.99, 4.0
 """An image is unlike others if it exceeds this share of the left-out images by this factor."""
 NORMAL_MEDIAN = np.log(2.0)  # Median of the squared length of a normal vector in the plane, over its mean
-UNCALIBRATED = Calibration(1.0, 1.0, np.inf, np.inf, 1.0, (1.0, 1.0), 1.0)
+UNCALIBRATED = Calibration(1.0, 1.0, np.inf, np.inf, 1.0, (1.0, 1.0), 1.0, 0.0, 0.0)
 
 
 def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
@@ -47,8 +47,7 @@ def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, 
     start = time.perf_counter()
     data, found, record = map_by_compass(recording, settings, seed, folder, progress)
     places = np.where(found.undecided[:, None], np.nan, found.places)
-    positioner = learn(data, places, found.heading, found.std)
-    return finish(replace(positioner, mount=find_mount(found)), start, progress, folder).note(record)
+    return finish(data, places, found.heading, start, progress, folder, found.std, find_mount(found)).note(record)
 
 
 def fit_distances(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
@@ -58,19 +57,46 @@ def fit_distances(recording: Recording, settings: LearnSettings, seed: int, fold
         raise InputError("registration_distances: a map needs segments with more than two readings each")
     progress(f"{folder.name}: initial map", 0, 1)
     places = make_initial_map(data.features, data.segments, kind, seed, 0)[0].numpy()
-    return finish(learn(data, places, fit_lines(recording, places).heading), start, progress, folder)
+    return finish(data, places, find_headings(recording, places), start, progress, folder)
 
 
-def finish(positioner: RegistrationPositioner, start: float, progress: Report, folder: Path) -> Fitted:
-    """The learned positioner with the record of its learning, which began at ``start`` [s]."""
+def finish(
+    data: TrainingData,
+    places: np.ndarray,
+    heading: np.ndarray,
+    start: float,
+    progress: Report,
+    folder: Path,
+    std: np.ndarray | None = None,
+    mount: tuple[float, float] = (0.0, 0.0),
+) -> Fitted:
+    """Learn what is seen where (see ``learn``), as a method whose learning began at ``start`` [s]."""
+    appearance, index = learn(data, places, heading, std)
+    positioner = RegistrationPositioner(index, upright=data.upright, appearance=appearance, mount=mount)
     progress(folder.name, 1, 1)
-    stored = sum(tensor.numel() for tensor in positioner.pack().tensors.values())
+    stored = sum(tensor.numel() for tensor in appearance.pack().tensors.values())
     return Fitted(positioner, {"steps": 0, "train_s": round(time.perf_counter() - start, 1), "parameters": stored})
+
+
+def find_headings(recording: Recording, positions: np.ndarray) -> np.ndarray:
+    """Headings (N,) [rad] on the map of the positions (N, 2) [m] of a drive's images; NaN where they are unknown.
+
+    They are the directions of straight lines through the positions of each segment, along which images are evenly
+    spaced. Observations that belong to two segments are left out, since the robot has turned there. No tick is read:
+    methods that learn from none share their weights.
+    """
+    uses, heading = np.bincount(recording.reading[:, 1], minlength=len(positions)), np.full(len(positions), np.nan)
+    for run in find_runs(recording):
+        index = recording.reading[run, 1]
+        x, y = (index - index.mean()) @ (positions[index] - positions[index].mean(axis=0))
+        if len(run) > 1 and np.hypot(x, y):
+            heading[index[uses[index] == 1]] = np.arctan2(y, x)
+    return heading
 
 
 def learn(
     data: TrainingData, places: np.ndarray, heading: np.ndarray, std: np.ndarray | None = None
-) -> RegistrationPositioner:
+) -> tuple[AppearanceMap, np.ndarray]:
     """Learn what is seen where.
 
     Args:
@@ -78,6 +104,9 @@ def learn(
         places: Positions of the N observations on the map (N, 2) [m]; NaN: unknown.
         heading: Their headings (N,) [rad]; NaN: unknown.
         std: Standard deviation of each position along one axis (N,) [m]; None: unknown.
+
+    Returns:
+        The map, and the numbers (n,) of the observations on it.
 
     Raises:
         InputError: No observation has a position, or none has others around it that are on other segments.
@@ -99,21 +128,12 @@ def learn(
     if has_pixels:
         small = np.concatenate([grey(data.observation[part]) for part in np.array_split(index, -(-len(index) // 500))])
         pixels, chirality = learn_pixels(small, places, heading, kernel, left_out)
-    positioner = RegistrationPositioner(
-        projection,
-        features,
-        places,
-        index,
-        np.zeros(len(index)) if std is None else std[index],
-        kernel,
-        UNCALIBRATED,
-        pixels,
-        chirality,
-        upright=data.upright,
-    )
-    positioner = replace(positioner, kernel=choose_kernel_by_errors(positioner, left_out))
+    std = np.zeros(len(index)) if std is None else std[index]
+    known = Registration(features, places, std, kernel, UNCALIBRATED, pixels, chirality)
+    known = replace(known, kernel=choose_kernel_by_errors(known, left_out))
     images = data.observation[index[checked.sample]]
-    return replace(positioner, calibration=calibrate(positioner, images, heading[checked.sample], checked))
+    known = replace(known, calibration=calibrate(known, images, heading[checked.sample], checked))
+    return AppearanceMap(projection, known), index
 
 
 class LeftOut(NamedTuple):
@@ -169,40 +189,42 @@ def learn_pixels(
     return min(found, key=lambda pair: pair[0].noise.sum())
 
 
-def choose_kernel_by_errors(positioner: RegistrationPositioner, left_out: LeftOut) -> Kernel:
+def choose_kernel_by_errors(known: Registration, left_out: LeftOut) -> Kernel:
     """The kernel with which left-out observations are registered nearest to their positions, by the geometric mean."""
     sample, others = (part[:: -(-len(left_out.sample) // TRIAL_IMAGES)] for part in left_out)
-    place = positioner.places[sample]
+    place = known.places[sample]
 
     def find_cost(kernel: Kernel) -> float:
-        match = replace(positioner, kernel=kernel).match(positioner.known[sample], place, ALL_ROUNDS, others)
+        match = replace(known, kernel=kernel).match(known.known[sample], place, ALL_ROUNDS, others)
         return float(np.log(np.square(match.position - place).sum(axis=1) + ROUNDING_M**2).mean())
 
     return min(KERNELS, key=find_cost)
 
 
-def calibrate(
-    positioner: RegistrationPositioner, images: np.ndarray, heading: np.ndarray, left_out: LeftOut
-) -> Calibration:
+def calibrate(known: Registration, images: np.ndarray, heading: np.ndarray, left_out: LeftOut) -> Calibration:
     """What registrations of the observations left out (n, ...), with headings (n,) [rad], tell of the errors."""
     sample, others = left_out
-    place = positioner.places[sample]
-    match = positioner.match(positioner.known[sample], place, ALL_ROUNDS, others)
+    place = known.places[sample]
+    match = known.match(known.known[sample], place, ALL_ROUNDS, others)
     unlike = match.residual / match.variance
     low, usual = np.quantile(unlike, [0.1, 0.5])
     components = 2.0 / (np.log(usual / low) / 1.2816) ** 2  # as of a chi-squared variable
     features = _find_factor(match.position - place, match.covariance)
     position, covariance, pixels, yaw, pixels_limit = match.position, features * match.covariance, 0.0, 1.0, 1.0
-    if positioner.pixels is not None:
-        found = positioner.pixels.register(grey(images), place, positioner.tree, positioner.kernel, others)
+    light, odd = 0.0, 0.0
+    if known.pixels is not None:
+        found = known.pixels.register(grey(images), place, known.tree, known.kernel, others)
         pixels = _find_factor(found.position - place, found.covariance[:, :2, :2])
         pixels_limit = _find_limit(found.spread**2 / found.variance)
-        off = np.abs(wrap(positioner.chirality * found.yaw - heading)) / np.sqrt(found.covariance[:, 2, 2])
+        off = np.abs(wrap(known.chirality * found.yaw - heading)) / np.sqrt(found.covariance[:, 2, 2])
         yaw = float(np.quantile(off, 0.68))
+        light = float(np.quantile(np.abs(np.log(np.maximum(found.gain, 1e-3))), LIKE_SHARE))
+        odd = float(np.quantile(found.odd, LIKE_SHARE))
         position, covariance = fuse(position, covariance, found.position, pixels * found.covariance[:, :2, :2])
     size = np.linalg.norm(position - place, axis=1) / np.sqrt(np.trace(covariance, axis1=1, axis2=2))
     radius = float(np.quantile(size, 0.68)), float(np.quantile(size, 0.95))
-    return Calibration(features, pixels, _find_limit(unlike), pixels_limit, float(components), radius, yaw)
+    limits = _find_limit(unlike), pixels_limit
+    return Calibration(features, pixels, *limits, float(components), radius, yaw, light, odd)
 
 
 def _find_limit(unlike: np.ndarray) -> float:

@@ -20,6 +20,7 @@ MAX_PIXELS = 1024  # Images with more are halved
 CORRELATION_SAMPLES = 512  # Samples of the circular correlation
 DAMPING = 1e-4
 GAINS = 0.3, 3.0  # Smallest and largest gain
+ODD_WEIGHT = 0.1  # Weight of a pixel below which it is not explained: 4.5 standard deviations off
 
 
 class PixelMatch(NamedTuple):
@@ -31,6 +32,8 @@ class PixelMatch(NamedTuple):
     weight: np.ndarray  # Weight of each pixel (n, R, S), 1 where it agrees
     spread: np.ndarray  # Median absolute residual, in standard deviations of the noise (n,)
     variance: np.ndarray  # Of the prediction, relative (n,)
+    gain: np.ndarray  # Brightness over that of the training images (n,)
+    odd: np.ndarray  # Share of the pixels that are not explained (n,)
 
 
 @dataclass(frozen=True)
@@ -80,7 +83,14 @@ class KnownPixels:
             light[:, 0] = light[:, 0].clip(*GAINS)
         covariance = spread[:, None, None] ** 2 * np.linalg.inv(normal)[:, :3, :3]
         return PixelMatch(
-            position, np.asarray(yaw) + self.heading, covariance, weight.reshape(images.shape), spread, weights.variance
+            position,
+            np.asarray(yaw) + self.heading,
+            covariance,
+            weight.reshape(images.shape),
+            spread,
+            weights.variance,
+            light[:, 0] + light[:, 1] / np.maximum(seen.mean(axis=1), 1.0),
+            (weight < ODD_WEIGHT).mean(axis=1),
         )
 
 

@@ -14,13 +14,13 @@ import numpy as np
 import torch
 from torch import nn
 
-from deepgps.config.learning import FeatureSettings, LearnSettings, NetworkSettings
+from deepgps.config.learning import LearnSettings, NetworkSettings
 from deepgps.data.features import Features, check_shape
 from deepgps.learning.batches import Inputs
 from deepgps.learning.networks import make_network
 from deepgps.learning.training_data import TrainingData
-from deepgps.positioner.confidence import COMPONENTS, Confidence
-from deepgps.positioner.headings import HeadingTable, Yaws
+from deepgps.positioner.appearance import AppearanceMap, Packed, pack_features, unpack_features
+from deepgps.positioner.registration import Registered, Registration, subtract_mount
 from sim.sensors.camera.lens import Lens
 from sim.sensors.camera.mount import Upright
 
@@ -30,20 +30,15 @@ MAX_TABLE_DISTANCES = 16_000_000
 """Maximum number of distances between observations and stored neighbours that are in memory at once."""
 
 
-class Packed(NamedTuple):
-    """Tensors by name, and what JSON holds, of which a positioner is made again."""
-
-    tensors: dict[str, torch.Tensor]
-    numbers: dict[str, Any]
-
-
 class Positioner(ABC):
     """A trained method as a map from observations to positions."""
 
     kind: ClassVar[str]  # Name of the class in ``positioner.json``
-    headings: HeadingTable | None = None  # Table from which yaw is found; None: it gives positions alone
-    # Table from which novelty and radii are found; None: positions are given without
-    confidence: Confidence | None = None
+
+    @property
+    def mirrored(self) -> bool | None:
+        """Whether a turn to the left is one to the right on its map; None: it is not known."""
+        return None
 
     @abstractmethod
     def __call__(self, observations: np.ndarray) -> np.ndarray:
@@ -59,7 +54,7 @@ class Positioner(ABC):
 
     @abstractmethod
     def pack(self) -> Packed:
-        """All but the two tables as tensors and as what JSON holds."""
+        """All that is its own as tensors and as what JSON holds."""
 
     @classmethod
     @abstractmethod
@@ -69,53 +64,60 @@ class Positioner(ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class FeaturePositioner(Positioner):
-    """One that compares features of observations, and so may know yaw, novelty and radii."""
+    """One that compares features of observations, and so may know its errors and the yaw by registration."""
 
-    headings: HeadingTable | None = None
-    confidence: Confidence | None = None
     # Sets images of a leaning camera upright before all else; None: images are taken as they are
     upright: Upright | None = None
+    # What is seen where on the method's own map; None: it gives positions alone
+    appearance: AppearanceMap | None = None
+    # Camera ahead of the axle and to its left [m]. Positions are the axle's if a yaw is found, else the camera's
+    mount: tuple[float, float] = (0.0, 0.0)
+
+    def __call__(self, observations: np.ndarray) -> np.ndarray:
+        camera = self.locate_camera(observations)
+        if self.appearance is None or not any(self.mount):
+            return camera
+        return self.leave_camera(camera, self.appearance.register(self.set_upright(observations)).yaw)
 
     @abstractmethod
-    def locate_with_features(self, observations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Positions of the camera (B, 2) float64 [m], and the features (B, K) that are compared."""
+    def locate_camera(self, observations: np.ndarray) -> np.ndarray:
+        """Positions of the camera (B, 2) float64 [m]."""
 
-    def find_yaws(self, observations: np.ndarray, camera: np.ndarray) -> Yaws:
-        """Yaws of the robot at positions of the camera (B, 2) [m]; only with a table of headings."""
-        assert self.headings is not None
-        return self.headings.find(self.set_upright(observations), camera)
+    def register(self, observations: np.ndarray) -> Registered | None:
+        """What registration says of the camera's positions for observations (B, ...); None where it knows nothing."""
+        if self.appearance is None:
+            return None
+        return self.appearance.register(self.set_upright(observations)).move(self.locate_camera(observations))
+
+    @property
+    def mirrored(self) -> bool | None:
+        if self.appearance is None or self.appearance.pixels is None:
+            return None
+        return self.appearance.registration.chirality < 0
 
     def leave_camera(self, camera: np.ndarray, yaw: np.ndarray) -> np.ndarray:
         """Positions of the axle (B, 2) [m] by those of the camera and the yaw (B,) [rad]; where it is NaN, the same."""
-        return camera
+        return subtract_mount(camera, yaw, self.mount, bool(self.mirrored))
 
     def set_upright(self, observations: np.ndarray) -> np.ndarray:
         """Images as if the camera had not leaned."""
         images = np.asarray(observations)
         return images if self.upright is None else self.upright(images)
 
+    def pack_shared(self) -> Packed:
+        """What all that compare features have, as tensors and as what JSON holds."""
+        numbers: dict[str, Any] = {"mount_m": list(self.mount)}
+        if self.upright is not None:
+            numbers["upright"] = asdict(self.upright)
+        packed = Packed({}, numbers)
+        return packed if self.appearance is None else packed.add("appearance", self.appearance.pack())
 
-def subtract_mount(camera: np.ndarray, yaw: np.ndarray, mount: tuple[float, float], chirality: int) -> np.ndarray:
-    """Positions of the axle by those of the camera (B, 2) [m] and the yaw (B,) [rad]; where it is NaN, the same."""
-    ahead, left = mount[0], chirality * mount[1]
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    return camera - np.nan_to_num(np.stack([cos * ahead - sin * left, sin * ahead + cos * left], axis=1))
-
-
-def pack_features(features: Features) -> Packed:
-    """The map to features, without the shape of an observation."""
-    tensors = {"features.mean": features.mean, "features.basis": features.basis}
-    if features.edges is not None:
-        tensors["features.edges"] = features.edges
-    return Packed(tensors, {"frequencies": features.frequencies, "values": features.values})
-
-
-def unpack_features(packed: Packed, name: str = "features") -> Features:
-    """The map to features whose tensors have this name, with the shape of an observation among the numbers."""
-    tensors, numbers = packed
-    mean, basis, edges = tensors[f"{name}.mean"], tensors[f"{name}.basis"], tensors.get(f"{name}.edges")
-    values = FeatureSettings(values=numbers["values"]).values
-    return Features(tuple(numbers["shape"]), numbers["frequencies"], mean, basis, edges, values)
+    def unpack_shared(self, packed: Packed) -> Self:
+        """The same with what was packed so; raises KeyError where a part is missing."""
+        ahead, left = packed.numbers["mount_m"]
+        upright = read_upright(packed.numbers.get("upright"))
+        known = AppearanceMap.unpack(packed.take("appearance")) if "appearance" in packed.numbers else None
+        return replace(self, upright=upright, mount=(float(ahead), float(left)), appearance=known)
 
 
 @dataclass(frozen=True)
@@ -130,41 +132,9 @@ class NetworkPositioner(FeaturePositioner):
     network: nn.Module  # The trained network, in evaluation mode, on any device; all else is on the CPU
     centre: torch.Tensor  # Origin of the plane in the network's output space (D,) [m]
     axes: torch.Tensor  # Axes of the plane (D, 2)
-    # Camera ahead of the axle and to its left [m]. Positions are the axle's if a yaw is found and this is not zero,
-    # else the camera's
-    mount: tuple[float, float] = (0.0, 0.0)
-    # The map from observations to the features that are compared, of a network that takes images
-    likeness: Features | None = None
-
-    def __call__(self, observations: np.ndarray) -> np.ndarray:
-        camera = self.locate_camera(observations)
-        if self.headings is None or not any(self.mount):
-            return camera
-        chunks = [slice(start, start + CHUNK) for start in range(0, len(camera), CHUNK)]
-        yaws = [self.find_yaws(observations[chunk], camera[chunk]).yaw[:, 0] for chunk in chunks]
-        return self.leave_camera(camera, np.concatenate([np.empty(0), *yaws]))
 
     def locate_camera(self, observations: np.ndarray) -> np.ndarray:
         return self.embed(observations) @ self.axes.double().numpy()
-
-    def locate_with_features(self, observations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        check_shape(observations, self.shape)
-        projection = self.likeness if self.features is None else self.features
-        assert projection is not None
-        compared = min(COMPONENTS, projection.basis.shape[1])  # no more are kept: of a million images, all are 1 GB
-        features = np.empty((len(observations), compared), np.float32)
-        found = np.empty((len(observations), len(self.centre)))
-        for start in range(0, len(observations), CHUNK):
-            part = slice(start, start + CHUNK)
-            images = self.set_upright(observations[part])
-            described = projection.apply(images)
-            features[part] = described[:, :compared]
-            found[part] = self._run(torch.from_numpy(images.copy()) if self.features is None else described)
-        return found @ self.axes.double().numpy(), features
-
-    def leave_camera(self, camera: np.ndarray, yaw: np.ndarray) -> np.ndarray:
-        assert self.headings is not None
-        return subtract_mount(camera, yaw, self.mount, self.headings.chirality)
 
     def embed(self, observations: np.ndarray) -> np.ndarray:
         """Outputs of the network (B, D) float64 [m], relative to ``centre``, before projection onto the plane."""
@@ -180,38 +150,19 @@ class NetworkPositioner(FeaturePositioner):
         tensors = {f"network.{name}": tensor for name, tensor in self.network.state_dict().items()}
         tensors |= {"centre": self.centre, "axes": self.axes}
         numbers = {"network": self.settings.model_dump(mode="json"), "shape": list(self.shape)}
-        if self.upright is not None:
-            numbers["upright"] = asdict(self.upright)
-        if self.likeness is not None:
-            tensors |= {"likeness.mean": self.likeness.mean, "likeness.basis": self.likeness.basis}
-            numbers["likeness"] = {"frequencies": self.likeness.frequencies, "values": self.likeness.values}
-        if any(self.mount):
-            numbers["mount_m"] = list(self.mount)
-        stored, how = Packed({}, {"frequencies": None}) if self.features is None else pack_features(self.features)
-        return Packed(tensors | stored, numbers | how)
+        packed = Packed(tensors, numbers)
+        return packed if self.features is None else packed.add("features", pack_features(self.features))
 
     @classmethod
     def unpack(cls, packed: Packed) -> Self:
         tensors, numbers = packed
-        features = None if numbers["frequencies"] is None else unpack_features(packed)
-        likeness = numbers.get("likeness")
+        features = unpack_features(packed.take("features")) if "features" in numbers else None
         settings = NetworkSettings.model_validate(numbers["network"])
         inputs = 0 if features is None else features.basis.shape[1]
         network = make_network(settings, inputs, len(tensors["centre"]), torch.Generator())
         own = {name.removeprefix("network."): t for name, t in tensors.items() if name.startswith("network.")}
         network.load_state_dict(own)
-        ahead, left = numbers.get("mount_m", (0.0, 0.0))
-        return cls(
-            tuple(numbers["shape"]),
-            features,
-            settings,
-            network.eval(),
-            tensors["centre"],
-            tensors["axes"],
-            upright=read_upright(numbers.get("upright")),
-            mount=(float(ahead), float(left)),
-            likeness=likeness and unpack_features(Packed(tensors, {**numbers, **likeness}), "likeness"),
-        )
+        return cls(tuple(numbers["shape"]), features, settings, network.eval(), tensors["centre"], tensors["axes"])
 
     def _run(self, table: torch.Tensor) -> np.ndarray:
         device = next(self.network.parameters()).device
@@ -230,24 +181,19 @@ class NeighbourPositioner(FeaturePositioner):
     places: torch.Tensor  # Their positions (N, 2) float64 [m]
     neighbours: int  # Number of neighbours that are averaged
 
-    def __call__(self, observations: np.ndarray) -> np.ndarray:
-        return self.locate_with_features(observations)[0]
-
-    def locate_with_features(self, observations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def locate_camera(self, observations: np.ndarray) -> np.ndarray:
         features = self.features.apply(observations)
         chunk = max(1, min(CHUNK, MAX_TABLE_DISTANCES // max(1, len(self.known))))
-        found = [self._position(part) for part in features.split(chunk)]
-        return np.concatenate([np.zeros((0, 2)), *found]), features.numpy()
+        return np.concatenate([np.zeros((0, 2)), *(self._position(part) for part in features.split(chunk))])
 
     def pack(self) -> Packed:
-        tensors, how = pack_features(self.features)
-        numbers = {"neighbours": self.neighbours, "shape": list(self.features.shape)}
-        return Packed(tensors | {"known": self.known, "places": self.places}, numbers | how)
+        packed = Packed({"known": self.known, "places": self.places}, {"neighbours": self.neighbours})
+        return packed.add("features", pack_features(self.features))
 
     @classmethod
     def unpack(cls, packed: Packed) -> Self:
         tensors, numbers = packed
-        features = unpack_features(packed)
+        features = unpack_features(packed.take("features"))
         return cls(features, tensors["known"], tensors["places"], numbers["neighbours"])
 
     def _position(self, features: torch.Tensor) -> np.ndarray:
@@ -266,29 +212,72 @@ class LinearPositioner(FeaturePositioner):
     features: Features  # The map from observations to features
     weights: torch.Tensor  # Of each feature, then of each product (D, 2) float64 [m]
 
-    def __call__(self, observations: np.ndarray) -> np.ndarray:
-        return self.locate_with_features(observations)[0]
-
-    def locate_with_features(self, observations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def locate_camera(self, observations: np.ndarray) -> np.ndarray:
         features = self.features.apply(observations).numpy()
         multiplied = int((2 * (len(self.weights) - features.shape[1])) ** 0.5)  # n features have n (n + 1) / 2 products
         starts, weights = range(0, len(features), CHUNK), self.weights.numpy()
         parts = (multiply_slowest(features[start : start + CHUNK].astype(float), multiplied) for start in starts)
-        return np.concatenate([np.zeros((0, 2)), *(part @ weights for part in parts)]), features
+        return np.concatenate([np.zeros((0, 2)), *(part @ weights for part in parts)])
 
     def pack(self) -> Packed:
-        tensors, how = pack_features(self.features)
-        return Packed(tensors | {"weights": self.weights}, {"shape": list(self.features.shape)} | how)
+        return Packed({"weights": self.weights}, {}).add("features", pack_features(self.features))
 
     @classmethod
     def unpack(cls, packed: Packed) -> Self:
-        return cls(unpack_features(packed), packed.tensors["weights"])
+        return cls(unpack_features(packed.take("features")), packed.tensors["weights"])
 
 
 def multiply_slowest(features: np.ndarray, count: int) -> np.ndarray:
     """Features (..., K) and the products of the first ``count``, beginning with those of the first alone (..., D)."""
     one, other = np.tril_indices(count)
     return np.concatenate([features, features[..., one] * features[..., other]], axis=-1)
+
+
+@dataclass(frozen=True)
+class RegistrationPositioner(FeaturePositioner):
+    """Positions by registration alone."""
+
+    kind = "registration"
+
+    index: np.ndarray  # Numbers of the images on the map among all training observations (n,)
+
+    def __call__(self, observations: np.ndarray) -> np.ndarray:
+        found = self.register(observations)
+        return self.leave_camera(found.position, found.yaw)
+
+    def locate_camera(self, observations: np.ndarray) -> np.ndarray:
+        return self.register(observations).position
+
+    def register(self, observations: np.ndarray) -> Registered:
+        assert self.appearance is not None
+        return self.appearance.register(self.set_upright(observations))
+
+    @property
+    def known(self) -> Registration:
+        """The training images on the map."""
+        assert self.appearance is not None
+        return self.appearance.registration
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of one observation."""
+        assert self.appearance is not None
+        return self.appearance.features.shape
+
+    def locate_training(self, observations: np.ndarray) -> np.ndarray:
+        if any(self.mount):
+            return self(observations)
+        others = np.setdiff1d(np.arange(len(observations)), self.index)
+        places = np.empty((len(observations), 2))
+        places[self.index], places[others] = self.known.places, self(observations[others])
+        return places
+
+    def pack(self) -> Packed:
+        return Packed({"index": torch.from_numpy(self.index)}, {})
+
+    @classmethod
+    def unpack(cls, packed: Packed) -> Self:
+        return cls(packed.tensors["index"].numpy())
 
 
 def read_upright(stored: Mapping[str, Any] | None) -> Upright | None:
@@ -321,11 +310,6 @@ def as_positioner(
     data: TrainingData, settings: LearnSettings, network: nn.Module, centre: torch.Tensor, axes: torch.Tensor
 ) -> NetworkPositioner:
     """The trained network as a positioner, on the device where it was trained."""
-    features, likeness = data.projection, None
-    if settings.network.architecture != "spectral":
-        likeness = replace(features, basis=features.basis[:, :COMPONENTS].contiguous())
-        features = None
+    features = data.projection if settings.network.architecture == "spectral" else None
     plane = (centre.cpu(), axes.cpu())
-    return NetworkPositioner(
-        data.shape, features, settings.network, network.eval(), *plane, upright=data.upright, likeness=likeness
-    )
+    return NetworkPositioner(data.shape, features, settings.network, network.eval(), *plane, upright=data.upright)

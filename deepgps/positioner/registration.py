@@ -8,29 +8,16 @@ The noise of one image is unknown: integrated out with Jeffreys' prior, the like
 ``|r|^-D``, with the residual r and D independent components. That of the pixels counts half.
 """
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import numpy as np
-import torch
 from scipy.spatial import KDTree
 
-from deepgps.data.features import Features, check_shape
-from deepgps.positioner.confidence import LEVELS, find_normal_radius
 from deepgps.positioner.kriging import NEIGHBOURS, Kernel, find_nearest, krige
-from deepgps.positioner.pixels import KnownPixels, grey
-from deepgps.positioner.positioner import (
-    FeaturePositioner,
-    Packed,
-    pack_features,
-    read_upright,
-    subtract_mount,
-    unpack_features,
-)
-from sim.geometry import wrap
+from deepgps.positioner.pixels import KnownPixels
 
-CHUNK = 64
 CANDIDATES, STARTS, START_DISTANCE_M = 128, 8, 0.4  # Images most alike, starts among these, distance of two [m]
 COARSE_ROUNDS, FINE_ROUNDS, STEP_M = 4, 2, 0.15  # Rounds from each start, and from each mode; largest step [m]
 ALL_ROUNDS = COARSE_ROUNDS + FINE_ROUNDS
@@ -40,7 +27,8 @@ PIXEL_MARGIN, CLEAR_MARGIN = 1.4, 1.0
 
 The cost is minus twice the logarithm of the likelihood, over the number of independent components.
 """
-MAX_DIFFERENCE_M = 0.05  # Distance between the answers of features and pixels, up to which they are accepted [m]
+MAX_DIFFERENCE_M = 0.05  # Distance between two answers, as of features and pixels, up to which they are accepted [m]
+LEVELS = (0.68, 0.95)  # Probabilities with which the radii hold the true position
 REASONS = ("accepted", "unlike", "ambiguous", "contradicting")
 """Reasons, by number: the image is unlike all others near its place; two places look alike; both answers differ."""
 
@@ -71,6 +59,20 @@ class Registered:
     unlike: np.ndarray  # Squared residual of features or of pixels, the smaller, over the largest that is usual (B,)
     reason: np.ndarray  # Number in ``REASONS`` (B,)
     near: np.ndarray  # Nearest training image (B,)
+    # By the pixels (B,), NaN where none are compared:
+    unlike_pixels: np.ndarray  # Squared residual of most pixels over the largest that is usual
+    gain: np.ndarray  # Brightness over that of the training images
+    odd: np.ndarray  # Share of the pixels that are not explained
+
+    def move(self, position: np.ndarray) -> "Registered":
+        """What this says of other positions (B, 2) [m] for the same images.
+
+        The covariance is the second moment of the true position about them. Those that are far away are refused.
+        """
+        away = position - self.position
+        far = (self.reason == 0) & (np.linalg.norm(away, axis=1) > MAX_DIFFERENCE_M)
+        covariance = self.covariance + away[:, :, None] * away[:, None]
+        return replace(self, position=position, covariance=covariance, reason=np.where(far, 3, self.reason))
 
 
 @dataclass(frozen=True)
@@ -84,56 +86,21 @@ class Calibration:
     components: float  # Independent components of the features
     radius: tuple[float, float]  # Radii of 68 and 95 %, over the root of the covariance's trace
     yaw: float  # Standard deviation of the yaw over that by the pixels alone
-
-
-ARRAYS = ("known", "places", "index", "place_std")
+    light: float  # Largest usual change of the logarithm of the brightness; 0 without pixels
+    odd: float  # Largest usual share of pixels that are not explained; 0 without pixels
 
 
 @dataclass(frozen=True)
-class RegistrationPositioner(FeaturePositioner):
-    """Positions by registration on a map of training images."""
+class Registration:
+    """Training images with their positions on the map, on which others are registered."""
 
-    kind = "registration"
-
-    features: Features  # The map from observations to whitened features
-    known: np.ndarray  # Features of the training images (N, K) float32
+    known: np.ndarray  # Their whitened features (N, K) float32
     places: np.ndarray  # Their positions (N, 2) [m]
-    index: np.ndarray  # Their numbers among all training observations (N,)
     place_std: np.ndarray  # Standard deviation of each along one axis (N,) [m]
     kernel: Kernel
     calibration: Calibration
     pixels: KnownPixels | None = None  # None: observations are no polar images, or no headings are known
     chirality: int = 1  # -1 where the map is mirrored
-    mount: tuple[float, float] = (0.0, 0.0)  # Camera ahead of the axle and to its left [m]
-
-    def __call__(self, observations: np.ndarray) -> np.ndarray:
-        found = self.register(observations)
-        return self.leave_camera(found.position, found.yaw)
-
-    def locate_camera(self, observations: np.ndarray) -> np.ndarray:
-        return self.register(observations).position
-
-    def locate_training(self, observations: np.ndarray) -> np.ndarray:
-        if any(self.mount):
-            return self(observations)
-        others = np.setdiff1d(np.arange(len(observations)), self.index)
-        places = np.empty((len(observations), 2))
-        places[self.index], places[others] = self.places, self(observations[others])
-        return places
-
-    def locate_with_features(self, observations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return self.locate_camera(observations), self.features.apply(self.set_upright(observations)).numpy()
-
-    def leave_camera(self, camera: np.ndarray, yaw: np.ndarray) -> np.ndarray:
-        return subtract_mount(camera, yaw, self.mount, self.chirality)
-
-    def register(self, observations: np.ndarray) -> Registered:
-        """Register observations (B, ...)."""
-        check_shape(observations, self.features.shape)
-        starts = range(0, max(len(observations), 1), CHUNK)
-        found = [self._register(observations[start : start + CHUNK]) for start in starts]
-        parts = ([getattr(one, name) for one in found] for name in Registered.__dataclass_fields__)
-        return Registered(*(np.concatenate(part) for part in parts))
 
     def find_radii(self, found: Registered) -> np.ndarray:
         """Radii (B, 2) [m] that hold the true positions with probabilities of 68 and 95 %."""
@@ -170,24 +137,25 @@ class RegistrationPositioner(FeaturePositioner):
         near = np.take_along_axis(near, np.argsort(np.take_along_axis(apart, near, axis=1), axis=1), axis=1)
         return np.take_along_axis(near, thin(self.places[near], STARTS, START_DISTANCE_M), axis=1)
 
-    def _register(self, observations: np.ndarray) -> Registered:
-        images, calibration = self.set_upright(observations), self.calibration
-        modes = self._find_modes(self.features.apply(images).numpy())
+    def register(self, features: np.ndarray, images: np.ndarray) -> Registered:
+        """Register observations by their whitened features (B, K), and grey images (B, R, S) if pixels are known."""
+        calibration, modes = self.calibration, self._find_modes(features)
         count, rows = len(modes.residual), np.arange(len(modes.residual))
         cost, position = np.log(modes.residual), modes.position.copy()
         covariance = calibration.features * modes.covariance
-        yaw, yaw_std = (np.full(cost.shape, np.nan) for _ in range(2))
+        yaw, yaw_std, unlike_pixels, gain, odd = (np.full(cost.shape, np.nan) for _ in range(5))
         differ, unlike = np.zeros(cost.shape), modes.residual / modes.variance / calibration.features_limit
         if self.pixels is not None and count:
             close = np.nonzero(cost < cost[:, :1] + PIXEL_MARGIN)
-            found = self.pixels.register(grey(images)[close[0]], modes.position[close], self.tree, self.kernel)
+            found = self.pixels.register(images[close[0]], modes.position[close], self.tree, self.kernel)
             of_pixels = calibration.pixels * found.covariance[:, :2, :2]
             differ[close] = np.linalg.norm(found.position - modes.position[close], axis=1)
             position[close], covariance[close] = fuse(position[close], covariance[close], found.position, of_pixels)
-            yaw[close] = wrap(self.chirality * found.yaw)
+            yaw[close] = np.angle(np.exp(1j * self.chirality * found.yaw))
             yaw_std[close] = calibration.yaw * np.sqrt(found.covariance[:, 2, 2])
-            of_pixels = found.spread**2 / found.variance / calibration.pixels_limit
-            unlike[close] = np.minimum(unlike[close], of_pixels)  # what is hidden spoils the features, and few pixels
+            unlike_pixels[close] = found.spread**2 / found.variance / calibration.pixels_limit
+            gain[close], odd[close] = found.gain, found.odd
+            unlike = np.fmin(unlike, unlike_pixels)  # what is hidden spoils the features, and few pixels
             with_pixels = np.full(cost.shape, np.inf)
             with_pixels[close] = cost[close] + np.log(found.spread + 1e-6)
             cost = with_pixels
@@ -207,6 +175,9 @@ class RegistrationPositioner(FeaturePositioner):
             unlike[rows, best],
             np.select(conditions, list(range(1, len(REASONS))), 0),
             find_nearest(self.tree, place, 1)[1][:, 0],
+            unlike_pixels[rows, best],
+            gain[rows, best],
+            odd[rows, best],
         )
 
     def _find_modes(self, features: np.ndarray) -> Match:
@@ -230,46 +201,6 @@ class RegistrationPositioner(FeaturePositioner):
             same = (away < MODE_DISTANCE_M).any(axis=1)
             modes.residual[same, number], modes.position[same, number] = np.inf, np.nan
         return modes
-
-    def pack(self) -> Packed:
-        tensors, numbers = pack_features(self.features)
-        arrays = {name: getattr(self, name) for name in ARRAYS}
-        numbers |= {
-            "shape": list(self.features.shape),
-            "kernel": list(self.kernel),
-            "calibration": asdict(self.calibration),
-            "chirality": self.chirality,
-            "mount_m": list(self.mount),
-        }
-        if self.pixels is not None:
-            arrays |= {"images": self.pixels.images, "noise": self.pixels.noise}
-            numbers["heading"] = self.pixels.heading
-        if self.upright is not None:
-            numbers["upright"] = asdict(self.upright)
-        return Packed(tensors | {name: torch.from_numpy(array) for name, array in arrays.items()}, numbers)
-
-    @classmethod
-    def unpack(cls, packed: Packed) -> Self:
-        tensors, numbers = packed
-        known, places, index, place_std = (tensors[name].numpy() for name in ARRAYS)
-        pixels = None
-        if "images" in tensors:
-            pixels = KnownPixels(tensors["images"].numpy(), tensors["noise"].numpy(), numbers["heading"])
-        calibration = Calibration(**{**numbers["calibration"], "radius": tuple(numbers["calibration"]["radius"])})
-        ahead, left = numbers["mount_m"]
-        return cls(
-            unpack_features(packed),
-            known,
-            places,
-            index,
-            place_std,
-            Kernel(*numbers["kernel"]),
-            calibration,
-            pixels,
-            int(numbers["chirality"]),
-            (float(ahead), float(left)),
-            upright=read_upright(numbers.get("upright")),
-        )
 
     def _find_nearest(self, position: np.ndarray) -> np.ndarray:
         return find_nearest(self.tree, position, NEIGHBOURS)[1]
@@ -306,3 +237,18 @@ def fuse(
     covariance = np.linalg.inv(first + second)
     sum_ = np.einsum("nij,nj->ni", first, one) + np.einsum("nij,nj->ni", second, other)
     return np.einsum("nij,nj->ni", covariance, sum_), covariance
+
+
+def find_normal_radius(probability: float | np.ndarray) -> np.ndarray:
+    """Radius within which a vector in the plane lies with a probability, in standard deviations along one axis."""
+    return np.sqrt(-2.0 * np.log1p(-probability))
+
+
+def subtract_mount(camera: np.ndarray, yaw: np.ndarray, mount: tuple[float, float], mirrored: bool) -> np.ndarray:
+    """Positions of the axle (B, 2) [m] by those of the camera and the yaw (B,) [rad]; where it is NaN, the same.
+
+    The camera is ``mount`` ahead of the axle and to its left [m].
+    """
+    ahead, left = mount[0], -mount[1] if mirrored else mount[1]
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    return camera - np.nan_to_num(np.stack([cos * ahead - sin * left, sin * ahead + cos * left], axis=1))

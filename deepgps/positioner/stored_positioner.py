@@ -2,35 +2,30 @@
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from pydantic import ValidationError
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save
 
-from deepgps.positioner.confidence import Confidence
-from deepgps.positioner.headings import HeadingTable
+from deepgps.positioner.appearance import Packed
 from deepgps.positioner.positioner import (
     CPU,
+    FeaturePositioner,
     LinearPositioner,
     NeighbourPositioner,
     NetworkPositioner,
-    Packed,
     Positioner,
+    RegistrationPositioner,
 )
-from deepgps.positioner.registration import RegistrationPositioner
 from deepgps.positioner.without_features import ArrayPositioner, LandmarkPositioner, ScanPositioner
 from sim.errors import DamagedError, InputError, WorkError, one_line
 from sim.files.atomic import write_bytes
 from sim.files.checksums import FORMAT, check_sha256, damaged, read_json, refuse_format, write_json
 
 INDEX, WEIGHTS = "positioner.json", "weights.safetensors"
-TABLES = {"yaw": ("headings", HeadingTable), "confidence": ("confidence", Confidence)}
-"""Entries of the description for tables, with the attributes whose names begin those of their arrays."""
 KINDS = {
     one.kind: one
     for one in (
@@ -62,11 +57,10 @@ def save_positioner(folder: Path, positioner: Any, training: Mapping[str, Any]) 
             f"has predict, and not a {type(positioner).__name__}"
         )
     tensors, numbers = positioner.pack()
+    if isinstance(positioner, FeaturePositioner):
+        shared = positioner.pack_shared()
+        tensors, numbers = tensors | shared.tensors, numbers | shared.numbers
     description = {"kind": positioner.kind, **numbers}
-    for key, (attribute, _) in TABLES.items():
-        if (table := getattr(positioner, attribute)) is not None:
-            arrays, description[key] = table.pack()
-            tensors |= {f"{attribute}.{name}": torch.from_numpy(array) for name, array in arrays.items()}
     weights = save({name: t.contiguous() for name, t in tensors.items()})
     write_bytes(folder / WEIGHTS, weights)
     write_json(folder / "training.json", training)
@@ -80,12 +74,10 @@ def load_positioner(folder: Path, device: torch.device = CPU) -> Positioner:
         raise InputError(f"{folder} holds no trained method: it has no {INDEX}")
     try:
         description = check_positioner(folder)
-        tensors = load_file(folder / WEIGHTS)
-        positioner = KINDS[description["kind"]].unpack(Packed(tensors, description))
-        for key, (attribute, kind) in TABLES.items():
-            if (numbers := description.get(key)) is not None:
-                table = kind.unpack(_take(tensors, f"{attribute}."), numbers)
-                positioner = replace(positioner, **{attribute: table})
+        packed = Packed(load_file(folder / WEIGHTS), description)
+        positioner = KINDS[description["kind"]].unpack(packed)
+        if isinstance(positioner, FeaturePositioner):
+            positioner = positioner.unpack_shared(packed)
         if isinstance(positioner, NetworkPositioner):
             positioner.network.to(device)
         return positioner
@@ -97,10 +89,6 @@ def load_positioner(folder: Path, device: torch.device = CPU) -> Positioner:
         raise damaged(path, one_line(error)) from None
     except (SafetensorError, OSError, RuntimeError) as error:
         raise damaged(folder / WEIGHTS, one_line(error)) from None
-
-
-def _take(tensors: Mapping[str, torch.Tensor], prefix: str) -> dict[str, np.ndarray]:
-    return {name.removeprefix(prefix): t.numpy() for name, t in tensors.items() if name.startswith(prefix)}
 
 
 def check_positioner(folder: Path) -> dict[str, Any]:

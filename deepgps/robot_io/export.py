@@ -13,20 +13,21 @@ import torch
 
 from deepgps.api.run import Frame, Run
 from deepgps.learning.trainer import load_triton
-from deepgps.positioner.positioner import NetworkPositioner, Positioner
+from deepgps.positioner import appearance
+from deepgps.positioner.positioner import NetworkPositioner, Positioner, RegistrationPositioner
 from deepgps.robot_io.deployed import Deployed
 from deepgps.robot_io.trajectories import WRITERS, Format, find_trajectories, write_drives, write_trajectories
 from deepgps.runs.owned_folder import Kind, hold
 from deepgps.terminal.progress import Report
 from sim.alignment import Alignment
-from sim.errors import InputError, WorkError
-from sim.files.atomic import sweep, write_atomic, write_size, write_text
+from sim.errors import InputError
+from sim.files.atomic import sweep, write_atomic, write_text
 from sim.files.checksums import read_json, write_arrays, write_json
 from sim.sensors.camera.mount import map_pixels, pad
 from sim.sensors.camera.unwrap import RoundImage
 
 FILES = re.compile(
-    rf"({'|'.join(WRITERS)})/(training|use)/\w+\.({'|'.join(WRITERS)})|mcap/(training|use)\.mcap|onnx/(model\.onnx|meta\.json|tables\.npz|example\.py)|export\.json"
+    rf"({'|'.join(WRITERS)})/(training|use)/\w+\.({'|'.join(WRITERS)})|mcap/(training|use)\.mcap|onnx/(model\.onnx|meta\.json|tables\.npz|\w+\.py)|export\.json"
 )
 EXPORT = Kind("export", "onnx/model.onnx", lambda: FILES)
 ABOUT_FILE = "export.json"  # The file that says which run is exported
@@ -94,19 +95,17 @@ def _claim(run: Run, folder: Path) -> Iterator[None]:
 
 
 MODEL, META, TABLES, EXAMPLE = "model.onnx", "meta.json", "tables.npz", "example.py"
-MAX_BYTES = 20_000_000  # Largest folder that is written
+Exported = NetworkPositioner | RegistrationPositioner
+MODULES = ("kriging", "pixels", "registration")  # Those of deepgps's own that the example needs, by name
 OUTPUTS = {
     "position": "x, y of the robot [m]",
-    "position_std": "standard deviation of the position along one axis by the map alone [m]",
     "yaw": "counter-clockwise from x [rad]; NaN: the image shows no direction",
-    "yaw_std": "standard deviation of the yaw if it is right [rad]",
-    "yaw_weight": "share of the stored images that agree on the yaw",
-    "other_yaw": "second hypothesis of the yaw [rad]; NaN: there is none",
-    "other_weight": "its share",
-    "novelty": "how unlike the training images near by the image is, as a distance on the map [m]",
+    "yaw_std": "standard deviation of the yaw [rad]",
     "radius_68": "radius that holds the true position with a probability of 68 % [m]",
     "radius_95": "the same for 95 % [m]",
-    "accepted": "whether the novelty is one that images of the drive have; do not use other positions",
+    "covariance": "of the position, by the image alone [m^2]",
+    "accepted": "whether to use the position",
+    "reason": "why not: unlike all images near its place, ambiguous, contradicting",
 }
 
 
@@ -119,24 +118,26 @@ def write_onnx(
 ) -> None:
     """Write the folder of a method; the alignment is from its map to the frame of the poses.
 
-    Without ``raw``, the folder takes polar images alone. Raises InputError if the method is no network on polar images
-    or a package is missing, WorkError if the folder would have more than 20 MB.
+    Without ``raw``, the folder takes polar images alone. Raises InputError if the method is neither a network nor
+    registration on polar images, or a package is missing.
     """
-    if not isinstance(positioner, NetworkPositioner) or len(positioner.shape) != 3:
-        raise InputError(f"--onnx: method {method} is no network on polar images, and only these are written as ONNX")
-    model, names = build_model(positioner, alignment)
+    if not isinstance(positioner, Exported) or len(positioner.shape) != 3:
+        raise InputError(
+            f"--onnx: method {method} is neither a network nor registration on polar images, and only these are written"
+        )
+    model = build_model(positioner)
     tables = make_tables(positioner, raw)
-    size = len(model) + sum(table.nbytes for table in tables.values())
-    if size > MAX_BYTES:
-        raise WorkError(f"--onnx: the folder would have {write_size(size)}, and at most {write_size(MAX_BYTES)} fit")
     write_atomic(folder / MODEL, lambda part: part.write_bytes(model), len(model))
     write_arrays(folder / TABLES, tables)
     write_text(folder / EXAMPLE, Path(__file__).with_name(EXAMPLE).read_text(encoding="utf-8"))
-    write_json(folder / META, describe_folder(method, positioner, names, alignment, raw))
+    for name in MODULES:
+        source = (Path(appearance.__file__).parent / f"{name}.py").read_text(encoding="utf-8")
+        write_text(folder / f"{name}.py", source.replace("from deepgps.positioner.", "from "))
+    write_json(folder / META, describe_folder(method, positioner, alignment, raw))
 
 
-def build_model(positioner: NetworkPositioner, alignment: Alignment | None) -> tuple[bytes, list[str]]:
-    """The model, which takes images (B, rings, sectors, 3) uint8 of an upright camera, and the names of its outputs."""
+def build_model(positioner: Exported) -> bytes:
+    """The model, which takes images (B, rings, sectors, 3) uint8 of an upright camera."""
     try:
         import onnxscript  # noqa: F401  torch imports it too, with a longer message
     except ModuleNotFoundError:
@@ -144,27 +145,27 @@ def build_model(positioner: NetworkPositioner, alignment: Alignment | None) -> t
             "--onnx needs pip install onnx onnxscript onnxruntime (in a checkout: make setup-dev)"
         ) from None
     load_triton()
-    module = Deployed(positioner, alignment).eval()
+    module = Deployed(positioner).eval()
     some = torch.zeros((2, *positioner.shape), dtype=torch.uint8)
     with _quiet(), torch.inference_mode():
-        names = list(module(some))
         program = torch.onnx.export(
             module,
             (some,),
             dynamo=True,
             input_names=["image"],
-            output_names=names,
+            output_names=list(module(some)),
             dynamic_shapes=({0: torch.export.Dim("batch")},),
             verbose=False,
         )
     assert program is not None
-    return program.model_proto.SerializeToString(), names
+    return program.model_proto.SerializeToString()
 
 
-def make_tables(positioner: NetworkPositioner, raw: RoundImage | None) -> dict[str, np.ndarray]:
-    """What ``cv2.remap`` needs to make the model's images of raw ones, and of those of a leaning camera."""
+def make_tables(positioner: Exported, raw: RoundImage | None) -> dict[str, np.ndarray]:
+    """What is seen where, and what ``cv2.remap`` needs to make the model's images of raw or leaning ones."""
     rings, sectors, _ = positioner.shape
-    tables = {}
+    known = positioner.appearance
+    tables = {} if known is None else known.list_arrays()
     if raw is not None:
         column, row = raw.find_points(rings, sectors)
         tables |= {"raw_column": column, "raw_row": row}
@@ -176,32 +177,26 @@ def make_tables(positioner: NetworkPositioner, raw: RoundImage | None) -> dict[s
 
 
 def describe_folder(
-    method: str,
-    positioner: NetworkPositioner,
-    outputs: list[str],
-    alignment: Alignment | None,
-    raw: RoundImage | None,
+    method: str, positioner: Exported, alignment: Alignment | None, raw: RoundImage | None
 ) -> dict[str, Any]:
     """Contents of ``meta.json``."""
     lean = positioner.upright.lean if positioner.upright else (0.0, 0.0)
+    to_frame = Alignment(np.eye(2), np.zeros(2), 1.0) if alignment is None else alignment
+    mirrored, known = positioner.mirrored, positioner.appearance
     return {
         "method": method,
         "frame": "map" if alignment is None else "world",
         "image": list(positioner.shape),
-        "mirrored": is_mirrored(positioner, alignment),
-        "outputs": {name: OUTPUTS[name] for name in outputs},
+        # Whether a turn to the left is one to the right in the frame of the poses; None: the method gives no yaw
+        "mirrored": None if mirrored is None else bool(mirrored != (np.linalg.det(to_frame.rotation) < 0.0)),
+        "outputs": OUTPUTS if known is not None else {"position": OUTPUTS["position"]},
         "raw": raw and {"centre_px": list(raw.centre), "radius_px": raw.radius_px, "forward_deg": raw.forward_deg},
         "lean_deg": np.degrees(lean).round(4).tolist(),
         "mount_m": list(positioner.mount),
+        "rotation": to_frame.rotation.tolist(),
+        "translation": to_frame.translation.tolist(),
+        "map": None if known is None else known.list_numbers(),
     }
-
-
-def is_mirrored(positioner: NetworkPositioner, alignment: Alignment | None) -> bool | None:
-    """Whether a turn to the left is one to the right in the frame of the poses; None: the method gives no yaw."""
-    if positioner.headings is None:
-        return None
-    turn = 1.0 if alignment is None else float(np.linalg.det(alignment.rotation))
-    return positioner.headings.chirality * turn < 0
 
 
 @contextmanager

@@ -11,8 +11,8 @@ import numpy as np
 from deepgps.api.run import Frame, Run
 from deepgps.data.checks import find_view
 from deepgps.learning.trainer import use_threads
-from deepgps.positioner.confidence import LEVELS, find_normal_radius
 from deepgps.positioner.pose import Poses, find_poses
+from deepgps.positioner.registration import LEVELS, find_normal_radius
 from deepgps.robot_io.sources import Picture, Unwrapper, check_images, open_pictures, open_source
 from deepgps.terminal.progress import Report
 from deepgps.tracking.causes import Watch, make_monitor
@@ -67,10 +67,7 @@ def locate(
         except InputError as error:
             return Located(picture._replace(image=None, error=one_line(error)))
         pose = find_poses(positioner, polar[None]).take(0)
-        cause = None
-        if watch is not None:
-            assert pose.novelty is not None  # a method whose images have causes knows how novel they are
-            cause = watch.step(polar, float(pose.novelty))
+        cause = None if watch is None else watch.step(polar)
         pose = pose if step is None else step(picture.name, pose)
         return Located(picture, polar, pose if alignment is None else pose.align(alignment), cause)
 
@@ -148,10 +145,10 @@ def open_watch(run: Run, method: str | None) -> Watch:
 
 def make_tracker(run: Run, method: str | None) -> "Tracker":
     """What tracks the robot in a method's map; raises InputError if it gives no yaw, so that this may be mirrored."""
-    headings = run.positioner(method).headings
-    if headings is None:
+    mirrored = run.positioner(method).mirrored
+    if mirrored is None:
         raise InputError(f"--track: method {run.choose(method)} gives no yaw, so its map may be mirrored")
-    return Tracker(headings.chirality < 0)
+    return Tracker(mirrored)
 
 
 DISTANCE_STD_SHARE, MIN_DISTANCE_STD_M = 0.01, 0.001  # Of the way between two images, as a part of it and at least [m]
@@ -176,7 +173,6 @@ class Tracker:
         radius = found.position_std * find_normal_radius(np.array(LEVELS))
         return Poses(
             found.position,
-            position_std=np.asarray(found.position_std),
             yaw=np.asarray(found.yaw),
             yaw_std=np.asarray(found.yaw_std),
             radius_68=radius[0],

@@ -18,8 +18,8 @@ import numpy as np
 from deepgps.api.run import Frame, Run
 from deepgps.evaluation.deployment import adapt, open_deployment
 from deepgps.learning.trainer import use_threads
-from deepgps.positioner.confidence import find_normal_radius
 from deepgps.positioner.pose import Poses, find_poses
+from deepgps.positioner.registration import find_normal_radius
 from deepgps.terminal.progress import Report
 from deepgps.tracking.track import write_tum
 from sim.errors import InputError
@@ -38,12 +38,8 @@ Format = Literal["tum", "csv"]
 DRIVES = ("training", "use")
 TRUTH = "truth"
 COLUMNS = {
-    "position_std": "position_std_m",
     "yaw": "yaw_rad",
     "yaw_std": "yaw_std_rad",
-    "yaw_weight": "yaw_weight",
-    "other_yaw": "other_yaw_rad",
-    "other_weight": "other_weight",
     "novelty": "novelty_m",
     "radius_68": "radius_68_m",
     "radius_95": "radius_95_m",
@@ -202,8 +198,7 @@ def list_poses(one: Trajectory, start_ns: int) -> list[Topic]:
 def find_variances(poses: Poses) -> np.ndarray:
     """Variances of x, y and yaw (n, 3) [m2, m2, rad2], large where they are not known."""
     unknown = np.full(len(poses.position), np.nan)
-    std_m = unknown if poses.position_std is None else poses.position_std
-    std_m = std_m if poses.radius_68 is None else poses.radius_68 * SIGMA_PER_RADIUS
+    std_m = unknown if poses.radius_68 is None else poses.radius_68 * SIGMA_PER_RADIUS
     std_rad = unknown if poses.yaw_std is None else poses.yaw_std
     place, turn = np.asarray(std_m, float) ** 2, np.asarray(std_rad, float) ** 2
     place, turn = (

@@ -12,17 +12,9 @@ from typing import Any
 import numpy as np
 
 from deepgps.data.turns import MAX_TURNS, adapt_upright, compare_images, find_in_place, ignore_small, turns_with_images
-from deepgps.positioner.confidence import Confidence
 from deepgps.positioner.positioner import FeaturePositioner, Positioner
-from deepgps.tracking.comparison import (
-    Comparison,
-    ImageLimits,
-    KnownImages,
-    check_images,
-    find_driven,
-    find_limits,
-    learn_images,
-)
+from deepgps.positioner.registration import Registered
+from deepgps.tracking.image_checks import ImageLimits, check_images, find_driven, find_limits
 from sim.recording.format import Recording
 from sim.recording.turns import from_array
 from sim.sensors.camera.mount import Upright
@@ -45,40 +37,32 @@ WINDOW, NEW_ROOM_SHARE = 150, 0.95  # The robot is in another room if this share
 LIGHT_WINDOW, RELIT_SHARE, MAIN_RELIT_SHARE = 50, 0.25, 0.5
 """The light has changed where values differ in the first share of so many images before and after an image; where they
 differ in the second share, it is also why others are refused."""
-CHANGED_ROOM_RATIO = 2.0
-"""Refused images show that the room has changed if there are so many times more around than the drive explains."""
-MIN_ACCEPTED = 10  # Accepted images around an image, at least, that show whether the room has changed
 LEAN_RINGS = 1.0 / 6.0
 """A camera has moved if it leans otherwise than in training by this part of a ring: 0.5 degrees with 32 rings."""
-RELIT_RATIO = 2.0
-"""An image is relit if its values differ this many times as much as those of one training image in a hundred."""
+RELIT_RATIO, ODD_RATIO = 2.0, 1.5
+"""An image is relit if its brightness differs this many times as much as that of one training image in a hundred, and
+something in it has changed if so many times more of it is not explained."""
+SAME_PLACE = 0.25  # ``Registered.unlike_pixels`` up to which an image surely is of its place on the map
 MIN_CAUSE_SHARE = 0.05  # A drive has a cause if this share of its images does
 
 Signs = dict[str, np.ndarray]
 """What N images show, each by itself: arrays (N,) by name, all but the last bool.
 
-black, white, covered, frozen: by ``check_images``; accepted: the method accepts its position; unusual: it is refused
-because it is more novel than most images of the training drive, others because that drive was too short to know their
-place well; known_place: it matches a training image better than images of different places match; beyond: it is farther
-from all training images on the map than nearly all of these are from other segments; relit: its values differ from
-those of the match as a whole; correlation: with the best match among the training images.
+black, white, covered, frozen: by ``check_images``; accepted: the method accepts its position; known_place: it does, or
+most of the pixels are those of the place on the map; relit: their brightness differs; changed: some of them differ.
 """
 
 
-def label(
-    signs: Signs, relit_around: np.ndarray, changed: np.ndarray, leaning: bool, other_room: np.ndarray
-) -> np.ndarray:
+def label(signs: Signs, relit_around: np.ndarray, leaning: bool, other_room: np.ndarray) -> np.ndarray:
     """Name of each image's cause, the first that holds (N,) str; empty: none.
 
-    The light can change though an image is accepted. Furniture has moved in images of known places, but not in those
-    that are refused since the training drive was short.
+    The light can change though an image is accepted.
 
     Args:
         signs: What each image shows by itself.
         relit_around: Share of relit images around each (N,).
-        changed: Whether the images around it, or it and those near by, show that the room has changed (N,) bool.
         leaning: Whether the camera leans otherwise than in training, and the method does not correct it.
-        other_room: Whether it is in a long stretch of images nearly all of which are of no known place (N,) bool.
+        other_room: Whether it is in a long stretch of images nearly all of which are refused (N,) bool.
     """
     known, refused = signs["known_place"], ~signs["accepted"]
     relit = known & signs["relit"] & (relit_around >= RELIT_SHARE)
@@ -87,8 +71,8 @@ def label(
         "light": relit | (refused & (relit_around >= MAIN_RELIT_SHARE)),
         "": ~refused,
         "camera": known & leaning,
+        "furniture": signs["changed"],
         "other_room": other_room,
-        "furniture": known & changed,
         "new_place": refused,
     }
     return np.select(list(rules.values()), list(rules), "")
@@ -161,27 +145,31 @@ class Monitor:
     """What names the causes in drives of one method."""
 
     positioner: FeaturePositioner  # The method as trained
-    confidence: Confidence  # The table by which it accepts images
     upright: Upright | None  # What sets its training images upright; None: no turns show how the camera leans
-    known: KnownImages  # Its training images
     limits: ImageLimits  # Limits of single images
 
     def name(self, drive: Recording) -> Causes:
         """Name the causes in a drive."""
         upright, change = self._find_lean(drive)
-        corrected = self.positioner.upright is not None
-        positioner = replace(self.positioner, upright=upright) if corrected else self.positioner
-        images = drive.observation
-        camera, features = positioner.locate_with_features(images)
-        compared = self.known.compare(images, camera, upright)
+        corrected, images = self.positioner.upright is not None, drive.observation
         leans = upright is not None and change is not None and change > find_least_lean(upright, images.shape[1])
-        novelty = self.confidence.measure(features, camera)[0]
-        signs = self.look(images, find_driven(drive), novelty, compared)
-        known = signs["known_place"]
-        gain = float(np.median(compared.gain[known])) if known.any() else None
+        found = self.register(images, upright if corrected else None)
+        signs = self.look(images, find_driven(drive), found)
+        if leans and not corrected:  # what it shows is seen once it is upright
+            signs = self.look(images, find_driven(drive), self.register(images, upright)) | {
+                "accepted": signs["accepted"]
+            }
+        gain = found.gain[signs["known_place"]]
         causes = self.label(signs, leans and not corrected, min(WINDOW, len(images)))
         accepted = signs["accepted"] & ~np.isin(causes, FAULTY_CAUSES)
-        return Causes(causes, accepted, None if change is None else float(np.degrees(change)), leans, gain)
+        lean_deg = None if change is None else float(np.degrees(change))
+        return Causes(causes, accepted, lean_deg, leans, float(np.median(gain)) if len(gain) else None)
+
+    def register(self, images: np.ndarray, upright: Upright | None = None) -> Registered:
+        """Register polar images (N, rings, sectors, 3), set upright as in training or, if given, otherwise."""
+        found = replace(self.positioner, upright=upright or self.positioner.upright).register(images)
+        assert found is not None
+        return found
 
     def _find_lean(self, drive: Recording) -> tuple[Upright | None, float | None]:
         """What sets a drive's images upright, and the angle between its lean and that in training [rad]."""
@@ -190,24 +178,23 @@ class Monitor:
         upright, lean = adapt_upright(self.upright, drive)
         return upright, None if lean is None else float(np.linalg.norm(np.subtract(lean, self.upright.lean)))
 
-    def look(self, images: np.ndarray, moved: np.ndarray, novelty: np.ndarray, compared: Comparison) -> Signs:
+    def look(self, images: np.ndarray, moved: np.ndarray, found: Registered) -> Signs:
         """What each image shows by itself.
 
         Args:
             images: Polar images (N, rings, sectors, 3).
             moved: Whether the wheels moved since the image before (N,) bool.
-            novelty: Novelty of each (N,) [m].
-            compared: How they compare with the known images.
+            found: Where they were taken.
         """
-        known = compared.correlation > self.known.other_place
+        assert self.positioner.appearance is not None
+        usual, accepted = self.positioner.appearance.registration.calibration, found.reason == 0
+        known = accepted | (found.unlike_pixels <= SAME_PLACE)
         return {
             **check_images(images, moved, self.limits),
-            "accepted": novelty <= self.confidence.threshold_m,
-            "unusual": novelty > self.confidence.usual_m,
+            "accepted": accepted,
             "known_place": known,
-            "beyond": compared.away_m > self.known.gap_m,
-            "relit": known & (compared.relit > RELIT_RATIO * self.known.usual_light),
-            "correlation": compared.correlation,
+            "relit": known & (np.abs(np.log(np.maximum(found.gain, 1e-3))) > RELIT_RATIO * usual.light),
+            "changed": found.odd > ODD_RATIO * usual.odd,
         }
 
     def label(self, signs: Signs, leaning: bool, window: int) -> np.ndarray:
@@ -218,12 +205,8 @@ class Monitor:
             leaning: Whether the camera leans otherwise than in training, and the method does not correct it.
             window: Images that a stretch of another room has at least.
         """
-        accepted = signs["accepted"]
-        often_refused = share_around(~accepted) > CHANGED_ROOM_RATIO * self.confidence.refused
-        changed = median_around(signs["correlation"], accepted) < self.known.usual_match
-        changed |= ~signs["beyond"] & (signs["unusual"] | often_refused)
-        other_room = find_long(~signs["known_place"] & ~accepted, window)
-        return label(signs, share_around(signs["relit"]), changed, leaning, other_room)
+        other_room = find_long(~signs["accepted"] & ~signs["changed"], window)
+        return label(signs, share_around(signs["relit"]), leaning, other_room)
 
 
 def find_least_lean(upright: Upright, rings: int) -> float:
@@ -234,14 +217,12 @@ def find_least_lean(upright: Upright, rings: int) -> float:
 def make_monitor(positioner: Positioner, recording: Recording) -> Monitor | None:
     """What names causes for a method and the recording that it has learned from.
 
-    None where observations are no polar images, or the method accepts all.
+    None where the method compares no pixels.
     """
-    confidence = positioner.confidence
-    if confidence is None or not isinstance(positioner, FeaturePositioner) or recording.kind != "polar_image":
+    if not isinstance(positioner, FeaturePositioner) or positioner.mirrored is None:
         return None
     upright = positioner.upright or measure_upright(recording)
-    camera = positioner.locate_camera(recording.observation)
-    return Monitor(positioner, confidence, upright, learn_images(recording, upright, camera), find_limits(recording))
+    return Monitor(positioner, upright, find_limits(recording))
 
 
 def measure_upright(recording: Recording) -> Upright | None:
@@ -266,11 +247,10 @@ class Watch:
         self._monitor = monitor
         self._signs = deque[Signs](maxlen=WINDOW)
 
-    def step(self, image: np.ndarray, novelty: float) -> str:
-        """Name of the cause of the next polar image (rings, sectors, 3) with this novelty [m]; empty: none."""
+    def step(self, image: np.ndarray) -> str:
+        """Name of the cause of the next polar image (rings, sectors, 3); empty: none."""
         one, monitor = image[None], self._monitor
-        compared = monitor.known.compare(one, monitor.positioner.locate_camera(one), monitor.upright)
-        self._signs.append(monitor.look(one, np.array([False]), np.array([novelty]), compared))
+        self._signs.append(monitor.look(one, np.array([False]), monitor.register(one)))
         signs = {name: np.concatenate([each[name] for each in self._signs]) for name in self._signs[-1]}
         return str(monitor.label(signs, False, WINDOW)[-1])
 
@@ -289,13 +269,3 @@ def share_around(found: np.ndarray) -> np.ndarray:
     total, rows = np.append(0, np.cumsum(found)), np.arange(len(found))
     first, last = np.maximum(rows - LIGHT_WINDOW, 0), np.minimum(rows + LIGHT_WINDOW + 1, len(found))
     return (total[last] - total[first]) / np.maximum(last - first, 1)
-
-
-def median_around(values: np.ndarray, among: np.ndarray) -> np.ndarray:
-    """Median (N,) of counted (N,) bool images within ``LIGHT_WINDOW`` of each; NaN with fewer than ``MIN_ACCEPTED``."""
-    found = np.full(len(values), np.nan)
-    for row in range(len(values)):
-        some = slice(max(row - LIGHT_WINDOW, 0), row + LIGHT_WINDOW + 1)
-        if among[some].sum() >= MIN_ACCEPTED:
-            found[row] = np.median(values[some][among[some]])
-    return found

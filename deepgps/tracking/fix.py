@@ -16,9 +16,7 @@ from sim.geometry import wrap
 if TYPE_CHECKING:
     from deepgps.positioner.pose import Poses
 
-POSITION_STD_FACTOR, MIN_POSITION_STD_M = 2.0, 0.002
-"""Errors of positions over ``Poses.position_std``, which knows only how straight segments are; and their least standard
-deviation [m]. Measured on deployment drives of two rooms: 1.7 and 2.1."""
+MIN_POSITION_STD_M = 0.002  # Least standard deviation of a position along each axis [m]
 USUAL_POSITION_STD_M = 0.02  # Standard deviation of the positions of methods that give none [m]
 RADIUS_68_PER_STD = 1.5096
 """Radius of 68 % over the standard deviation along one axis, of a normal distribution in the plane."""
@@ -62,20 +60,13 @@ def _find_std(pose: "Poses", accepted: bool) -> float:
         return max(float(pose.radius_68) / RADIUS_68_PER_STD, MIN_POSITION_STD_M)
     if not accepted:
         return np.inf
-    return (
-        USUAL_POSITION_STD_M
-        if pose.position_std is None
-        else max(POSITION_STD_FACTOR * float(pose.position_std), MIN_POSITION_STD_M)
-    )
+    return USUAL_POSITION_STD_M
 
 
 def _take_yaws(pose: "Poses") -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    if pose.yaw is None or pose.other_yaw is None or pose.yaw_std is None:
+    if pose.yaw is None or pose.yaw_std is None or not np.isfinite(pose.yaw):
         return np.empty(0), np.empty(0), np.empty(0)
-    yaw = np.array([pose.yaw, pose.other_yaw], float)
-    weight = np.array([pose.yaw_weight, pose.other_weight], float)
-    known = np.isfinite(yaw) & (weight > 0.0)
-    return yaw[known], np.full(known.sum(), float(pose.yaw_std)), weight[known]
+    return np.array([pose.yaw], float), np.array([pose.yaw_std], float), np.ones(1)
 
 
 DEGREES_OF_FREEDOM = 4.0  # Degrees of freedom of the errors of images

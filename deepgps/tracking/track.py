@@ -90,9 +90,9 @@ def track_drive(positioner: Positioner, recording: Recording, progress: Report) 
     progress("track", 1, 4)
     poses = find_poses(positioner, recording.observation)
     fixes = _list_fixes(positioner, recording, drive, poses)
-    headings = positioner.headings  # a map may be mirrored: a turn to the left is one to the right in it
-    chirality = headings.chirality if headings else find_chirality(poses.position, segments, drive.turns.angle)
-    mirrored = chirality < 0
+    mirrored = positioner.mirrored  # a map may be: a turn to the left is one to the right in it
+    if mirrored is None:
+        mirrored = find_chirality(poses.position, segments, drive.turns.angle) < 0
     motions = [one and mirror(one) for one in drive.motions] if mirrored else drive.motions
     progress("track", 2, 4)
     causal = run_forward(motions, fixes)

@@ -9,8 +9,10 @@ import torch
 from deepgps.config.learning import FeatureSettings, PixelValues
 from deepgps.data.features import fit_features
 from deepgps.data.segments import read_segments
+from deepgps.learning.batches import Inputs
 from deepgps.learning.trainer import make_generator
-from deepgps.positioner.confidence_fit import make_confidence
+from deepgps.learning.training_data import TrainingData
+from deepgps.methods.registration import find_headings, learn
 from deepgps.positioner.positioner import NeighbourPositioner
 from sim.recording.format import Recording
 from sim.recording.turns import Turns
@@ -104,10 +106,10 @@ def drive(
 
 
 def train(recording: Recording, values: PixelValues) -> NeighbourPositioner:
-    """Nearest neighbours with the true places of a recording by ``drive``, and a table of confidence."""
+    """Nearest neighbours with the true places of a recording by ``drive``, and what is seen where."""
     segments, places = read_segments(recording), recording.others["place"]
     settings = FeatureSettings(values=values, principal=64, components=32)
     features, known = fit_features(recording.observation, segments, settings, make_generator(0, "features"))
-    table = make_confidence(segments, known.numpy(), places)
-    assert table is not None
-    return NeighbourPositioner(features, known, torch.from_numpy(places), 4, confidence=table)
+    data = TrainingData(segments, features, known, Inputs(known), recording.observation)
+    appearance, _ = learn(data, places, find_headings(recording, places))
+    return NeighbourPositioner(features, known, torch.from_numpy(places), 4, appearance=appearance)

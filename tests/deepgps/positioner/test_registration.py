@@ -9,11 +9,12 @@ from threadpoolctl import threadpool_limits
 
 from deepgps.config.learning import FeatureSettings, LearnSettings
 from deepgps.learning.training_data import TrainingData, prepare
-from deepgps.methods.registration import learn
+from deepgps.methods.registration import find_headings, learn
 from deepgps.positioner.kriging import Kernel, krige
 from deepgps.positioner.pixels import find_yaw, grey, turn
 from deepgps.positioner.pose import find_poses
-from deepgps.positioner.registration import RegistrationPositioner, fuse
+from deepgps.positioner.positioner import RegistrationPositioner
+from deepgps.positioner.registration import Registration, fuse
 from deepgps.positioner.stored_positioner import load_positioner, save_positioner
 from sim.alignment import Alignment
 from sim.geometry import wrap
@@ -42,7 +43,23 @@ def tests(small_recording: Path) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.fixture(scope="module")
 def positioner(data: TrainingData, pose: np.ndarray) -> RegistrationPositioner:
-    return learn(data, pose[:, :2], pose[:, 2])
+    return place(data, pose[:, :2], pose[:, 2])
+
+
+@pytest.fixture(scope="module")
+def known(positioner: RegistrationPositioner) -> Registration:
+    return positioner.known
+
+
+def place(data: TrainingData, places: np.ndarray, heading: np.ndarray) -> RegistrationPositioner:
+    appearance, index = learn(data, places, heading)
+    return RegistrationPositioner(index, appearance=appearance)
+
+
+def copy(positioner: RegistrationPositioner, known: Registration) -> RegistrationPositioner:
+    """The positioner with other training images."""
+    assert positioner.appearance is not None
+    return replace(positioner, appearance=replace(positioner.appearance, registration=known))
 
 
 def draw(seed: int, count: int = 40) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -99,11 +116,11 @@ def test_a_turned_image_is_found_by_its_angle(tests: tuple[np.ndarray, np.ndarra
     np.testing.assert_allclose(turn(images, np.full(20, sector))[0], np.roll(images, 1, axis=2), atol=1e-2)
 
 
-def test_gauss_newton_ends_where_the_cost_is_least(positioner: RegistrationPositioner, pose: np.ndarray) -> None:
-    features = positioner.known[::20]
-    found = positioner.match(features, pose[::20, :2] + 0.03, rounds=8)
+def test_gauss_newton_ends_where_the_cost_is_least(known: Registration, pose: np.ndarray) -> None:
+    features = known.known[::20]
+    found = known.match(features, pose[::20, :2] + 0.03, rounds=8)
     for move in ([0.01, 0.0], [-0.01, 0.0], [0.0, 0.01], [0.0, -0.01]):
-        beside = positioner.match(features, found.position + move, rounds=0)
+        beside = known.match(features, found.position + move, rounds=0)
         assert (beside.residual >= found.residual - 1e-3).mean() > 0.9
 
 
@@ -122,7 +139,8 @@ def test_it_is_ahead_of_the_nearest_image(
     images, true = tests
     found = positioner.register(images)
     error = np.linalg.norm(found.position - true[:, :2], axis=1)
-    nearest = positioner.find_starts(positioner.features.apply(images).numpy())[:, 0]
+    assert positioner.appearance is not None
+    nearest = positioner.known.find_starts(positioner.appearance.features.apply(images).numpy())[:, 0]
     assert np.median(error) < 0.7 * np.median(np.linalg.norm(pose[nearest, :2] - true[:, :2], axis=1))
     sure = found.reason == 0
     assert np.degrees(np.median(np.abs(wrap(found.yaw - true[:, 2])[sure]))) < 1.5
@@ -139,8 +157,8 @@ def test_a_motion_of_the_map_moves_every_answer_with_it(
     cos, sin = 0.6, 0.8
     rotation = np.array([[cos, -sin * mirror], [sin, cos * mirror]])
     motion = Alignment(rotation, np.array([5.0, -2.0]), 1.0)
-    moved = learn(data, motion.apply(pose[:, :2]), motion.turn(pose[:, 2]))
-    assert moved.chirality == mirror
+    moved = place(data, motion.apply(pose[:, :2]), motion.turn(pose[:, 2]))
+    assert moved.mirrored == (mirror < 0.0)
     one, other = find_poses(positioner, tests[0]).align(motion), find_poses(moved, tests[0])
     np.testing.assert_allclose(other.position, one.position, atol=1e-6)
     assert one.yaw is not None and other.yaw is not None
@@ -152,17 +170,18 @@ def test_a_motion_of_the_map_moves_every_answer_with_it(
 
 
 def test_two_places_with_the_same_images_are_two_modes_of_the_same_weight(
-    positioner: RegistrationPositioner, tests: tuple[np.ndarray, np.ndarray]
+    positioner: RegistrationPositioner, known: Registration, tests: tuple[np.ndarray, np.ndarray]
 ) -> None:
-    away, pixels = np.array([20.0, 0.0]), positioner.pixels
+    away, pixels = np.array([20.0, 0.0]), known.pixels
     assert pixels is not None
-    copied = replace(
-        positioner,
-        known=np.tile(positioner.known, (2, 1)),
-        places=np.concatenate([positioner.places, positioner.places + away]),
-        place_std=np.tile(positioner.place_std, 2),
+    twice = replace(
+        known,
+        known=np.tile(known.known, (2, 1)),
+        places=np.concatenate([known.places, known.places + away]),
+        place_std=np.tile(known.place_std, 2),
         pixels=replace(pixels, images=np.tile(pixels.images, (2, 1, 1))),
     )
+    copied = copy(positioner, twice)
     alone, found = positioner.register(tests[0]), copied.register(tests[0])
     sure = alone.weight[:, 0] > 0.999
     assert sure.mean() > 0.5
@@ -195,7 +214,7 @@ def test_hidden_sectors_hardly_move_the_answer(
 
 
 def test_an_image_of_nothing_is_refused(positioner: RegistrationPositioner) -> None:
-    shape = (4, *positioner.features.shape)
+    shape = (4, *positioner.shape)
     images = np.random.default_rng(0).integers(0, 256, shape, dtype=np.uint8)
     images[0], images[1] = 0, 255
     found = find_poses(positioner, images)
@@ -227,8 +246,8 @@ def test_stored_and_read_it_gives_the_same(
     data: TrainingData, pose: np.ndarray, tests: tuple[np.ndarray, np.ndarray], tmp_path: Path, with_headings: bool
 ) -> None:
     heading = pose[:, 2] if with_headings else np.full(len(pose), np.nan)
-    positioner = learn(data, pose[:, :2], heading)
-    assert (positioner.pixels is not None) == with_headings
+    positioner = place(data, pose[:, :2], heading)
+    assert (positioner.mirrored is not None) == with_headings
     save_positioner(tmp_path, positioner, {})
     one, other = (find_poses(some, tests[0]) for some in (positioner, load_positioner(tmp_path)))
     np.testing.assert_array_equal(other.position, one.position)
@@ -241,3 +260,25 @@ def test_a_fused_position_is_nearer_to_the_surer() -> None:
     position, covariance = fuse(one, np.eye(2)[None], other, 3.0 * np.eye(2)[None])
     np.testing.assert_allclose(position, [[0.25, 0.25]])
     np.testing.assert_allclose(covariance, [0.75 * np.eye(2)])
+
+
+def test_headings_are_the_directions_of_segments_and_unknown_where_the_robot_turns(
+    small_recording: Path, pose: np.ndarray
+) -> None:
+    recording = open_recording(small_recording)
+    heading = find_headings(recording, pose[:, :2])
+    known, uses = np.isfinite(heading), np.bincount(recording.reading[:, 1], minlength=len(pose))
+    assert not known[uses > 1].any() and known.mean() > 0.5
+    assert np.abs(wrap(heading - pose[:, 2]))[known].max() < 0.01
+
+
+def test_other_positions_for_the_same_images_have_larger_ellipses_and_are_refused_where_they_are_far(
+    positioner: RegistrationPositioner, tests: tuple[np.ndarray, np.ndarray]
+) -> None:
+    found = positioner.register(tests[0])
+    away = np.tile([0.03, 0.0], (len(found.position), 1))
+    near, far = found.move(found.position + away), found.move(found.position + 2.0 * away)
+    np.testing.assert_allclose(near.covariance[:, 0, 0] - found.covariance[:, 0, 0], 0.03**2, rtol=1e-6)
+    np.testing.assert_array_equal(near.reason, found.reason)
+    assert (far.reason[found.reason == 0] == 3).all()
+    np.testing.assert_array_equal(found.move(found.position).covariance, found.covariance)

@@ -86,7 +86,7 @@ def test_what_is_not_known_has_a_large_variance_and_refused_poses_a_topic_of_the
         [UNKNOWN_VARIANCE_M2, UNKNOWN_VARIANCE_M2, 0.01],
     ]
     np.testing.assert_allclose(find_variances(bare), expected)
-    circle = Poses(np.zeros((1, 2)), radius_68=np.array([2.0]), position_std=np.array([9.0]))
+    circle = Poses(np.zeros((1, 2)), radius_68=np.array([2.0]))
     drawn = np.sqrt(find_variances(circle)[0, 0]) * np.random.default_rng(0).standard_normal((100_000, 2))
     assert (np.hypot(*drawn.T) < 2.0).mean() == pytest.approx(0.68, abs=0.005)
     one = Trajectory("training", "knn", np.arange(2.0), replace(bare, accepted=np.array([True, False])))

@@ -26,9 +26,6 @@ def track(seen: np.ndarray, odometry: np.ndarray, mirrored: bool) -> np.ndarray:
             np.array([x, y]),
             yaw=np.array(yaw),
             yaw_std=np.array(0.02),
-            yaw_weight=np.array(1.0),
-            other_yaw=np.array(np.nan),
-            other_weight=np.array(0.0),
             radius_68=np.array(0.03),
         )
         pose = tracker.step(single, way, turned)

@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepgps.positioner.pose import find_poses
 from deepgps.tracking import causes
 from deepgps.tracking.causes import FAULTY_CAUSES, TITLES, WINDOW, Causes, Monitor, Watch, make_monitor, name_causes
 from sim.recording.format import Recording, open_recording
@@ -73,7 +72,7 @@ def test_moved_furniture_is_named(drawn: Drawn, like: Recording):
 def test_another_room_is_named(drawn: Drawn, like: Recording):
     found = drawn[0].name(drive(like, Room(seed=9), IMAGES, 2))
     assert found.named == ["other_room"]
-    assert not found.accepted.any()
+    assert found.accepted.mean() < 0.02
 
 
 def test_places_that_were_not_driven_are_named(like: Recording):
@@ -104,12 +103,11 @@ def test_monotone_change_of_light_is_never_furniture(drawn: Drawn):
 
 def test_headings_of_the_robot_change_nothing(drawn: Drawn):
     monitor, clean = drawn
-    images, places = clean.observation[:60], clean.others["place"][:60]
-    found = monitor.known.compare(images, places)
+    found = monitor.register(clean.observation[:60])
     for sectors in (8, 30):
-        turned = monitor.known.compare(np.roll(images, sectors, axis=2), places)
-        assert turned.correlation == pytest.approx(found.correlation, abs=1e-4)
-        assert turned.relit == pytest.approx(found.relit, abs=0.02)
+        turned = monitor.register(np.roll(clean.observation[:60], sectors, axis=2))
+        for part in ("gain", "odd", "unlike_pixels"):
+            np.testing.assert_allclose(getattr(turned, part), getattr(found, part), atol=1e-3)
 
 
 @pytest.mark.parametrize("images", [80, pytest.param(10_000, marks=pytest.mark.slow)])
@@ -118,16 +116,14 @@ def test_causes_of_images_as_they_come_are_those_of_the_drive(drawn: Drawn, like
     moved = drive(like, Room(pillars=MOVED_PILLARS), IMAGES, 2)
     for use in (moved, see(clean, FAULTS["light"])) if images == 80 else (clean, moved, see(clean, FAULTS["covered"])):
         known, watch = monitor.name(use), Watch(monitor)
-        novelty = find_poses(monitor.positioner, use.observation[:images]).novelty
-        assert novelty is not None
-        found = [watch.step(*one) for one in zip(use.observation, novelty.tolist(), strict=False)]
+        found = [watch.step(image) for image in use.observation[:images]]
         assert np.mean(np.array(found) == known.label[:images]) > 0.8  # the first images know few others
 
 
 @pytest.mark.slow
 def test_another_room_is_told_once_many_images_have_come(drawn: Drawn, like: Recording):
     watch = Watch(drawn[0])
-    found = [watch.step(image, np.inf) for image in drive(like, Room(seed=9), IMAGES, 2).observation[: WINDOW + 5]]
+    found = [watch.step(image) for image in drive(like, Room(seed=9), IMAGES, 2).observation[: WINDOW + 5]]
     assert "other_room" not in found[: WINDOW - 1]
     assert found.count("new_place") > 0.9 * WINDOW
     assert set(found[WINDOW:]) == {"other_room"}
@@ -135,7 +131,7 @@ def test_another_room_is_told_once_many_images_have_come(drawn: Drawn, like: Rec
 
 def test_a_method_that_accepts_all_names_nothing(drawn: Drawn):
     monitor, clean = drawn
-    assert make_monitor(replace(monitor.positioner, confidence=None), clean) is None
+    assert make_monitor(replace(monitor.positioner, appearance=None), clean) is None
 
 
 def test_the_sentence_says_what_is_accepted_refused_and_changed():
@@ -155,15 +151,15 @@ def name(**held: bool) -> str:
     def tell(sign: str) -> np.ndarray:
         return np.array([held.get(sign, False)])
 
-    signs = {one: tell(one) for one in (*FAULTY_CAUSES, "accepted", "known_place", "relit")}
+    signs = {one: tell(one) for one in (*FAULTY_CAUSES, "accepted", "known_place", "relit", "changed")}
     around = np.array([0.6 * held.get("mostly_relit", False) + 0.3 * held.get("relit", False)])
-    return str(causes.label(signs, around, tell("changed"), held.get("leaning", False), tell("other_room"))[0])
+    return str(causes.label(signs, around, held.get("leaning", False), tell("other_room"))[0])
 
 
 def test_the_first_rule_that_holds_names_the_cause():
-    assert name() == "new_place" == name(known_place=True) == name(changed=True)
+    assert name() == "new_place" == name(known_place=True)
     assert name(accepted=True) == "" == name(accepted=True, mostly_relit=True)
-    assert name(known_place=True, changed=True) == "furniture"
+    assert name(changed=True) == "furniture" == name(known_place=True, changed=True, other_room=True)
     assert name(other_room=True) == "other_room"
     assert name(known_place=True, changed=True, leaning=True) == "camera"
     assert name(known_place=True, relit=True, accepted=True) == "light" == name(mostly_relit=True)
@@ -185,12 +181,9 @@ def test_a_long_stretch_is_of_another_room_and_a_short_one_is_not():
     assert causes.find_long(np.zeros(0, bool), 0).shape == (0,)
 
 
-def test_shares_and_medians_are_those_of_the_images_around():
-    rng = np.random.default_rng(1)
-    found, values = rng.random(300) < 0.3, rng.random(300)
-    share, median = causes.share_around(found), causes.median_around(values, found)
+def test_shares_are_those_of_the_images_around():
+    found = np.random.default_rng(1).random(300) < 0.3
+    share = causes.share_around(found)
     for row in (0, 10, 150, 299):
         some = slice(max(0, row - causes.LIGHT_WINDOW), row + causes.LIGHT_WINDOW + 1)
         assert share[row] == pytest.approx(found[some].mean())
-        assert median[row] == pytest.approx(np.median(values[some][found[some]]))
-    assert np.isnan(causes.median_around(values, np.zeros(300, bool))).all()

@@ -198,7 +198,7 @@ def test_filter_needs_numpy_alone():
 
 
 def test_a_method_s_radius_is_the_error_of_a_fix():
-    pose = Poses(np.zeros(2), position_std=np.array(0.01))
+    pose = Poses(np.zeros(2))
     assert take_fix(pose).position_std == pytest.approx(0.02)
     assert take_fix(replace(pose, radius_68=np.array(0.15096))).position_std == pytest.approx(0.1)
     refused = replace(pose, accepted=np.array(False))

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepgps.tracking.comparison import (
+from deepgps.tracking.image_checks import (
     BLOCKS,
     ImageLimits,
     check_images,
