@@ -73,7 +73,7 @@ def learn_appearance(
     data = prepare(recording, settings, seed, folder.parent, positioner.upright)
     places = positioner.locate_camera(recording.observation)
     places[fill_stretches(training.get("map", {}).get("parts", []), len(places))] = np.nan
-    mapped = None if training.get("attempt") else read_map(folder)  # restarts do not begin with this map
+    mapped = read_map(folder)
     std = None if mapped is None else np.nan_to_num(mapped.expected / np.sqrt(2.0))
     try:
         return replace(positioner, appearance=learn(data, places, find_headings(recording, places), std)[0])

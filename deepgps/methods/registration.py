@@ -36,10 +36,11 @@ MIN_CALIBRATION_IMAGES = 50  # With fewer on segments held out, all are calibrat
 TRUSTED_SHARE, SHRINKAGE = 0.95, 0.1
 """Share of the smallest errors from which the noise is learned; weight of its diagonal alone."""
 MIN_NOISE = 0.1  # Least noise of a ring, over the mean of all
+USUAL_SHARE = 0.98  # Share of the left-out images whose distance between two answers is usual
 LIKE_SHARE, MARGIN = 0.99, 4.0
 """An image is unlike others if it exceeds this share of the left-out images by this factor."""
 NORMAL_MEDIAN = np.log(2.0)  # Median of the squared length of a normal vector in the plane, over its mean
-UNCALIBRATED = Calibration(1.0, 1.0, np.inf, np.inf, 1.0, (1.0, 1.0), 1.0, 0.0, 0.0)
+UNCALIBRATED = Calibration(1.0, 1.0, np.inf, np.inf, 1.0, (1.0, 1.0), 1.0, 0.0, 0.0, 0.0)
 
 
 def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
@@ -221,10 +222,10 @@ def calibrate(known: Registration, images: np.ndarray, heading: np.ndarray, left
         light = float(np.quantile(np.abs(np.log(np.maximum(found.gain, 1e-3))), LIKE_SHARE))
         odd = float(np.quantile(found.odd, LIKE_SHARE))
         position, covariance = fuse(position, covariance, found.position, pixels * found.covariance[:, :2, :2])
-    size = np.linalg.norm(position - place, axis=1) / np.sqrt(np.trace(covariance, axis1=1, axis2=2))
-    radius = float(np.quantile(size, 0.68)), float(np.quantile(size, 0.95))
-    limits = _find_limit(unlike), pixels_limit
-    return Calibration(features, pixels, *limits, float(components), radius, yaw, light, odd)
+    away, size = np.linalg.norm(position - place, axis=1), np.sqrt(_find_trace(covariance))
+    radius = float(np.quantile(away / size, 0.68)), float(np.quantile(away / size, 0.95))
+    limits, difference = (_find_limit(unlike), pixels_limit), float(np.quantile(away, USUAL_SHARE))
+    return Calibration(features, pixels, *limits, float(components), radius, yaw, light, odd, difference)
 
 
 def _find_limit(unlike: np.ndarray) -> float:
@@ -232,5 +233,8 @@ def _find_limit(unlike: np.ndarray) -> float:
 
 
 def _find_factor(error: np.ndarray, covariance: np.ndarray) -> float:
-    trace = np.trace(covariance, axis1=1, axis2=2)
-    return float(np.median(np.square(error).sum(axis=1) / trace) / NORMAL_MEDIAN)
+    return float(np.median(np.square(error).sum(axis=1) / _find_trace(covariance)) / NORMAL_MEDIAN)
+
+
+def _find_trace(covariance: np.ndarray) -> np.ndarray:
+    return np.maximum(np.trace(covariance, axis1=1, axis2=2), 1e-12)

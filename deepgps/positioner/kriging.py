@@ -79,6 +79,8 @@ def find_others(
     """
     tree, found, wide = KDTree(places), np.zeros((len(rows), NEIGHBOURS), int), 4 * NEIGHBOURS
     missing = np.arange(len(rows))
+    if tree.n < NEIGHBOURS:
+        return found, np.zeros(len(rows), bool)
     while True:
         wide = min(wide, tree.n)
         around = find_nearest(tree, places[rows[missing]], wide)[1]

@@ -65,8 +65,8 @@ class KnownPixels:
                 yaw = find_yaw(images, seen.reshape(images.shape))
             turned, change = (part.reshape(count, -1) for part in turn(images, yaw))
             residual = (turned - light[:, :1] * seen - light[:, 1:]) * sharp
-            spread = np.median(np.abs(residual), axis=1)
-            weight = 1.0 / (1.0 + (residual / (1.4826 * OUTLIER * np.maximum(spread, 1e-6)[:, None])) ** 2)
+            spread = np.maximum(np.median(np.abs(residual), axis=1), 1e-6)
+            weight = 1.0 / (1.0 + (residual / (1.4826 * OUTLIER * spread[:, None])) ** 2)
             parts = [light[:, :1] * slope[:, 0], light[:, :1] * slope[:, 1], -change, seen, np.ones_like(seen)]
             rows = np.stack(parts, axis=1) * sharp
             weighted = rows * weight[:, None]

@@ -87,7 +87,11 @@ class FeaturePositioner(Positioner):
         """What registration says of the camera's positions for observations (B, ...); None where it knows nothing."""
         if self.appearance is None:
             return None
-        return self.appearance.register(self.set_upright(observations)).move(self.locate_camera(observations))
+        found, usual = (
+            self.appearance.register(self.set_upright(observations)),
+            self.appearance.registration.calibration,
+        )
+        return found.move(self.locate_camera(observations), usual.difference)
 
     @property
     def mirrored(self) -> bool | None:

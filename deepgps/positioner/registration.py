@@ -64,13 +64,14 @@ class Registered:
     gain: np.ndarray  # Brightness over that of the training images
     odd: np.ndarray  # Share of the pixels that are not explained
 
-    def move(self, position: np.ndarray) -> "Registered":
+    def move(self, position: np.ndarray, usual_m: float = 0.0) -> "Registered":
         """What this says of other positions (B, 2) [m] for the same images.
 
-        The covariance is the second moment of the true position about them. Those that are far away are refused.
+        The covariance is the second moment of the true position about them. Those are refused that are farther away
+        than is usual.
         """
         away = position - self.position
-        far = (self.reason == 0) & (np.linalg.norm(away, axis=1) > MAX_DIFFERENCE_M)
+        far = (self.reason == 0) & (np.linalg.norm(away, axis=1) > max(MAX_DIFFERENCE_M, usual_m))
         covariance = self.covariance + away[:, :, None] * away[:, None]
         return replace(self, position=position, covariance=covariance, reason=np.where(far, 3, self.reason))
 
@@ -88,6 +89,7 @@ class Calibration:
     yaw: float  # Standard deviation of the yaw over that by the pixels alone
     light: float  # Largest usual change of the logarithm of the brightness; 0 without pixels
     odd: float  # Largest usual share of pixels that are not explained; 0 without pixels
+    difference: float  # Largest usual distance of a left-out image from its position on the map [m]
 
 
 @dataclass(frozen=True)
@@ -157,7 +159,7 @@ class Registration:
             gain[close], odd[close] = found.gain, found.odd
             unlike = np.fmin(unlike, unlike_pixels)  # what is hidden spoils the features, and few pixels
             with_pixels = np.full(cost.shape, np.inf)
-            with_pixels[close] = cost[close] + np.log(found.spread + 1e-6)
+            with_pixels[close] = cost[close] + np.log(found.spread)
             cost = with_pixels
         order = (rows[:, None], np.argsort(cost, axis=1, kind="stable"))
         cost, best = cost[order], order[1][:, 0]
@@ -233,7 +235,8 @@ def fuse(
     one: np.ndarray, one_cov: np.ndarray, other: np.ndarray, other_cov: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Mean of two positions (n, 2), weighted by their covariances (n, 2, 2), and its covariance."""
-    first, second = np.linalg.inv(one_cov), np.linalg.inv(other_cov)
+    least = 1e-12 * np.eye(2)
+    first, second = np.linalg.inv(one_cov + least), np.linalg.inv(other_cov + least)
     covariance = np.linalg.inv(first + second)
     sum_ = np.einsum("nij,nj->ni", first, one) + np.einsum("nij,nj->ni", second, other)
     return np.einsum("nij,nj->ni", covariance, sum_), covariance

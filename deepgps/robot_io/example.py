@@ -43,7 +43,7 @@ class Locator:
             return {"position": found["position"][0] @ rotation.T + shift}
         pose = self.known.register(found["features"], grey(image[None]))
         if "position" in found:
-            pose = pose.move(found["position"].astype(float))
+            pose = pose.move(found["position"].astype(float), self.known.calibration.difference)
         radius = self.known.find_radii(pose)[0]
         axle = subtract_mount(pose.position, pose.yaw, self.meta["mount_m"], self.known.chirality < 0)
         yaw = np.arctan2(*rotation[::-1, 0]) + np.linalg.det(rotation) * pose.yaw

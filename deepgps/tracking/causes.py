@@ -34,9 +34,9 @@ TITLES = {
 FAULTY_CAUSES = ("black", "white", "covered", "frozen")
 """Causes of images that do not show where the camera is or how it leans."""
 WINDOW, NEW_ROOM_SHARE = 150, 0.95  # The robot is in another room if this share of so many consecutive images is new
-LIGHT_WINDOW, RELIT_SHARE, MAIN_RELIT_SHARE = 50, 0.25, 0.5
-"""The light has changed where values differ in the first share of so many images before and after an image; where they
-differ in the second share, it is also why others are refused."""
+LIGHT_WINDOW, RELIT_SHARE, MAIN_SHARE = 50, 0.25, 0.5
+"""The light has changed where values differ in the first share of so many images before and after an image. Where light
+or furniture have changed in the second share of them, it is also why others are refused."""
 LEAN_RINGS = 1.0 / 6.0
 """A camera has moved if it leans otherwise than in training by this part of a ring: 0.5 degrees with 32 rings."""
 RELIT_RATIO, ODD_RATIO = 2.0, 1.5
@@ -53,25 +53,25 @@ most of the pixels are those of the place on the map; relit: their brightness di
 """
 
 
-def label(signs: Signs, relit_around: np.ndarray, leaning: bool, other_room: np.ndarray) -> np.ndarray:
+def label(signs: Signs, around: Signs, leaning: bool, other_room: np.ndarray) -> np.ndarray:
     """Name of each image's cause, the first that holds (N,) str; empty: none.
 
     The light can change though an image is accepted.
 
     Args:
         signs: What each image shows by itself.
-        relit_around: Share of relit images around each (N,).
+        around: Shares of the images around each that are relit, and in which something has changed (N,).
         leaning: Whether the camera leans otherwise than in training, and the method does not correct it.
         other_room: Whether it is in a long stretch of images nearly all of which are refused (N,) bool.
     """
     known, refused = signs["known_place"], ~signs["accepted"]
-    relit = known & signs["relit"] & (relit_around >= RELIT_SHARE)
+    relit = known & signs["relit"] & (around["relit"] >= RELIT_SHARE)
     rules = {
         **{name: signs[name] for name in FAULTY_CAUSES},
-        "light": relit | (refused & (relit_around >= MAIN_RELIT_SHARE)),
+        "light": relit | (refused & (around["relit"] >= MAIN_SHARE)),
         "": ~refused,
         "camera": known & leaning,
-        "furniture": signs["changed"],
+        "furniture": signs["changed"] | (around["changed"] >= MAIN_SHARE),
         "other_room": other_room,
         "new_place": refused,
     }
@@ -206,7 +206,7 @@ class Monitor:
             window: Images that a stretch of another room has at least.
         """
         other_room = find_long(~signs["accepted"] & ~signs["changed"], window)
-        return label(signs, share_around(signs["relit"]), leaning, other_room)
+        return label(signs, {name: share_around(signs[name]) for name in ("relit", "changed")}, leaning, other_room)
 
 
 def find_least_lean(upright: Upright, rings: int) -> float:

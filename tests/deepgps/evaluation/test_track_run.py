@@ -115,7 +115,8 @@ def test_a_damaged_error_field_is_noticed(name: str, run: Path, tmp_path: Path):
         shutil.copy(run / file, tmp_path)
     assert read_measured(tmp_path) == read_json(run / "metrics.json")
     content = bytearray((tmp_path / name).read_bytes())
-    content[len(content) // 2] ^= 1
+    for part in (3, 4, 5):  # one may be in a header that nobody reads
+        content[len(content) // part] ^= 1
     (tmp_path / name).write_bytes(content)
     assert read_measured(tmp_path) is None
     (tmp_path / name).unlink()

@@ -53,12 +53,12 @@ def test_an_export_that_is_refused_leaves_nothing(finished_run: Path, tmp_path: 
 
 
 def test_a_method_is_written_as_onnx(finished_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(export, "build_model", lambda *_: (b"a model", ["position"]))  # which takes its time
+    monkeypatch.setattr(export, "build_model", lambda *_: b"a model")  # which takes its time
     words = ("--onnx", "--frame", "map", "--centre", "60", "58", "--radius-px", "50", "--out", "robot")
     done = deepgps_here("export", str(finished_run), *words, cwd=tmp_path)
     assert (done.returncode, done.stdout) == (0, "wrote robot/onnx\n"), done.stderr
     names = {path.name for path in (tmp_path / "robot" / "onnx").iterdir()}
-    assert names == {"model.onnx", "meta.json", "tables.npz", "example.py"}
+    assert names == {"model.onnx", "meta.json", "tables.npz", "example.py", *(f"{name}.py" for name in export.MODULES)}
     assert '"frame": "map"' in (tmp_path / "robot" / "onnx" / "meta.json").read_text()
 
 

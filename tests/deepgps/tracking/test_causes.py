@@ -72,7 +72,7 @@ def test_moved_furniture_is_named(drawn: Drawn, like: Recording):
 def test_another_room_is_named(drawn: Drawn, like: Recording):
     found = drawn[0].name(drive(like, Room(seed=9), IMAGES, 2))
     assert found.named == ["other_room"]
-    assert found.accepted.mean() < 0.02
+    assert found.accepted.mean() < 0.05
 
 
 def test_places_that_were_not_driven_are_named(like: Recording):
@@ -152,14 +152,20 @@ def name(**held: bool) -> str:
         return np.array([held.get(sign, False)])
 
     signs = {one: tell(one) for one in (*FAULTY_CAUSES, "accepted", "known_place", "relit", "changed")}
-    around = np.array([0.6 * held.get("mostly_relit", False) + 0.3 * held.get("relit", False)])
+    relit = np.array([0.6 * held.get("mostly_relit", False) + 0.3 * held.get("relit", False)])
+    around = {"relit": relit, "changed": np.array([0.6 * held.get("mostly_changed", False)])}
     return str(causes.label(signs, around, held.get("leaning", False), tell("other_room"))[0])
 
 
 def test_the_first_rule_that_holds_names_the_cause():
     assert name() == "new_place" == name(known_place=True)
     assert name(accepted=True) == "" == name(accepted=True, mostly_relit=True)
-    assert name(changed=True) == "furniture" == name(known_place=True, changed=True, other_room=True)
+    assert (
+        name(changed=True)
+        == "furniture"
+        == name(mostly_changed=True)
+        == name(known_place=True, changed=True, other_room=True)
+    )
     assert name(other_room=True) == "other_room"
     assert name(known_place=True, changed=True, leaning=True) == "camera"
     assert name(known_place=True, relit=True, accepted=True) == "light" == name(mostly_relit=True)
