@@ -53,6 +53,7 @@ COLUMNS = 100
 def fill_in(text: str) -> str:
     """A page's text with its generated parts as the code is now."""
     parts = {
+        "methods": describe_methods,
         "settings": describe_settings,
         "study": describe_study,
         "robot": describe_robot,
@@ -72,6 +73,15 @@ def show_figures(page: str) -> str:
     """The published figures of the study that a page reports."""
     figures = sorted((ROOT / "docs" / page).parent.glob("figures/*.png"))
     return "\n## Figures\n\n" + "".join(f"![{path.stem}](figures/{path.name})\n\n" for path in figures)
+
+
+def describe_methods() -> str:
+    """Every method: the map that it learns, and how it finds an image's place on it."""
+    rows = [
+        (f"`{name}`", one.title, one.map, one.estimator, f"`{one.observes}`" if one.observes else "any")
+        for name, one in METHODS.items()
+    ]
+    return _table(("method", "title", "map by", "estimator", "observations"), rows)
 
 
 def describe_settings() -> str:

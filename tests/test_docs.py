@@ -128,14 +128,13 @@ def test_limits_and_choices_of_settings_are_told() -> None:
     ("page", "names"),
     [
         ("how-to/run.md", names_in(SCENARIOS)),
-        ("how-to/run.md", list(METHODS)),
         ("how-to/study.md", names_in(STUDIES)),
         (
             "how-to/encoder-faults.md",
             [f"encoder.{name}" for name in EncoderSettings.model_fields if name != "plugins"],
         ),
     ],
-    ids=["scenarios", "methods", "studies", "encoder faults"],
+    ids=["scenarios", "studies", "encoder faults"],
 )
 def test_a_table_of_names_is_complete(page: str, names: list[str]) -> None:
     text = (ROOT / "docs" / page).read_text(encoding="utf-8")
