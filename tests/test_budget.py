@@ -5,9 +5,9 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "lines of sim and deepgps": 40_826,
+    "lines of sim and deepgps": 40_956,
     "files of sim and deepgps": 280,
-    "lines of tests": 28_143,
+    "lines of tests": 28_203,
     "Python files directly in deepgps": 2,
     "words of decisions": 6_000,
     "words of all other pages by hand": 19_350,

@@ -10,7 +10,7 @@ from sim.errors import DamagedError, InputError
 from sim.files.checksums import damaged, read_arrays, write_arrays
 from sim.geometry import wrap
 
-OPTIONAL_ARRAYS = ("yaw", "yaw_std", "expected", "novelty", "radius", "radius_95", "accepted")
+OPTIONAL_ARRAYS = "yaw", "yaw_std", "expected", "novelty", "radius", "radius_95", "accepted", "covariance", "reason"
 """Arrays that some methods have, in the file as ``<array>/<method>``."""
 REPAIR_HINT = "deepgps run with the same scenario and --out measures the methods again"
 
@@ -35,6 +35,10 @@ class ErrorField:
     radius: np.ndarray | None = None
     radius_95: np.ndarray | None = None  # The same for 95 % (C, H) [m]; None like ``radius``
     accepted: np.ndarray | None = None  # Whether the method accepts each image (C, H) bool; None: it refuses none
+    # Covariance of each prediction by its image alone (C, H, 2, 2) [m^2]; None: the method knows none
+    covariance: np.ndarray | None = None
+    # Why each image is refused (C, H): 0 accepted, 1 unlike, 2 ambiguous, 3 contradicting; None: it does not say
+    reason: np.ndarray | None = None
 
     @property
     def error(self) -> np.ndarray:
@@ -88,11 +92,11 @@ class WorstField:
     error: np.ndarray  # Its distance from the truth (C,) [m]
     heading: np.ndarray  # That heading (C,) [rad]
     radius: np.ndarray | None = None  # Radius of 68 % there (C,) [m]; None: the method gives none
+    row: np.ndarray | None = None  # Numbers of position and heading in the error field (C, 2); None: there is none
 
     def take(self, chosen: np.ndarray | slice) -> "WorstField":
         """The field at some of its places."""
-        radius = None if self.radius is None else self.radius[chosen]
-        return WorstField(self.truth[chosen], self.predicted[chosen], self.error[chosen], self.heading[chosen], radius)
+        return replace(self, **{name: part[chosen] for name, part in vars(self).items() if part is not None})
 
 
 def read_fields(run: Path) -> dict[str, WorstField]:
@@ -100,11 +104,11 @@ def read_fields(run: Path) -> dict[str, WorstField]:
     return {name: find_worst(field) for name, field in read_all_headings(run).items()}
 
 
-def read_all_headings(run: Path) -> dict[str, ErrorField]:
-    """Read error_field.npz with the predictions at every heading; raises InputError if it is missing or damaged."""
-    path = run / "error_field.npz"
+def read_all_headings(run: Path, name: str = "error_field.npz") -> dict[str, ErrorField]:
+    """Read error fields with the predictions at every heading; raises InputError if they are missing or damaged."""
+    path = run / name
     if not path.is_file():
-        raise InputError(f"{run} is no whole run: error_field.npz is missing")
+        raise InputError(f"{run} is no whole run: {name} is missing")
     try:
         data = read_arrays(path)
     except DamagedError as error:
@@ -126,11 +130,11 @@ def find_worst(field: ErrorField, among: np.ndarray | None = None) -> WorstField
     """The largest error per position among some images (C, H) bool, or all; positions without any are left out."""
     among = np.ones(field.predicted.shape[:2], bool) if among is None else among
     cells = np.flatnonzero(among.any(axis=1))
-    error = np.where(among, field.error, -1.0)[cells]
-    worst = error.argmax(axis=1)
-    heading, rows = np.broadcast_to(field.heading, among.shape), (cells, worst)
+    rows = cells, np.where(among, field.error, -1.0)[cells].argmax(axis=1)
+    heading = np.broadcast_to(field.heading, among.shape)[rows]
     radius = None if field.radius is None else field.radius[rows]
-    return WorstField(field.truth[cells], field.predicted[rows], error.max(axis=1), heading[rows], radius)
+    truth, predicted, error = field.truth[cells], field.predicted[rows], field.error[rows]
+    return WorstField(truth, predicted, error, heading, radius, np.stack(rows, axis=1))
 
 
 def split_by_acceptance(field: ErrorField) -> tuple[WorstField, WorstField]:

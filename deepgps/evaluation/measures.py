@@ -180,8 +180,11 @@ def make_field(poses: Poses, true: np.ndarray, alignment: Alignment, with_yaw: b
     shape, known = true.shape[:2], np.isfinite(true).all(axis=(1, 2))
     parts = {name: getattr(poses, source) for name, source in PARTS.items()}
     if with_yaw and poses.yaw is not None:
-        parts |= {"yaw": alignment.turn(poses.yaw.reshape(shape)), "yaw_std": poses.yaw_std}
-    parts = {name: np.reshape(part, shape)[known] for name, part in parts.items() if part is not None}
+        parts |= {"yaw": alignment.turn(poses.yaw), "yaw_std": poses.yaw_std}
+    if poses.covariance is not None and poses.reason is not None:
+        turned = alignment.rotation @ poses.covariance @ alignment.rotation.T
+        parts |= {"covariance": turned.astype(np.float32), "reason": poses.reason.astype(np.int8)}
+    parts = {name: part.reshape(*shape, *part.shape[1:])[known] for name, part in parts.items() if part is not None}
     predicted, pose = alignment.apply(poses.position).reshape(*shape, 2)[known], true[known]
     heading = pose[..., 2]
     shared = (heading[:1] == heading).all()  # a drive reaches each place with a different heading

@@ -1,6 +1,6 @@
 """Error fields: an arrow from each true place to the predicted one, a dot at the true one, and its numbers.
 
-Layers above it are hidden at first: headings, yaws, radii, expected errors, coverage by images.
+Layers above it are hidden at first: headings, yaws, radii, ellipses, expected errors, coverage by images.
 
 The viewer's tooltip lists up to three components that differ between the arrows of an entity, and more only by their
 number. So an entity has its shape, its colours and one short text, and other values are logged above it.
@@ -17,9 +17,10 @@ from scipy.spatial import KDTree
 from deepgps.config.methods import title_of
 from deepgps.evaluation.error_field import ErrorField, WorstField, find_worst, split_by_acceptance
 from deepgps.evaluation.measures import find_seen
+from deepgps.positioner import registration
 from deepgps.reports.plots import REFUSED_COLOUR, colours_of
 from deepgps.viewer.read import COLUMNS
-from deepgps.viewer.scene import LAYER_M, lift
+from deepgps.viewer.scene import LAYER_M, draw_circles, draw_ellipses, lift
 from deepgps.viewer.stream import Rows, put
 from sim.geometry import FreeSpace
 
@@ -36,10 +37,13 @@ LARGE_YAW_ERROR_DEG = 5.0
 GOOD_COLOUR, WRONG_COLOUR = (235, 235, 235), (255, 60, 220)
 """Colours of yaws that are off by at most ``LARGE_YAW_ERROR_DEG``, and of others; the error field's colours mean
 positions."""
-CIRCLE_POINTS = 49
+SIGMA, SIGMA_TICKS_M = "radius_by_place", (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
+ELLIPSES, ELLIPSE_SCALE, ELLIPSE_SPACING_M, MAX_ELLIPSES = "ellipses_5_times", 5, 0.15, 1_000
+"""Layer, how many times larger they are drawn, distance between two [m], and how many there are at most."""
 COVERAGE, DENSITY = "world/not_covered", "world/images_per_cell"
 CELL_M = 0.25
 UNSEEN_COLOUR = (232, 37, 79)
+REFUSED_RGBA = np.array([*(round(255 * one) for one in to_rgb(REFUSED_COLOUR)), 255], np.uint8)
 NO_PLACES = ErrorField(np.zeros((0, 2)), np.zeros(1), np.zeros((0, 1, 2)))
 
 
@@ -51,9 +55,8 @@ def log_field(stream: rr.RecordingStream, name: str, field: ErrorField, at: Rows
     for part, chosen in zip(PARTS, (large, ~large), strict=True):
         some = accepted.take(chosen)
         _log_arrows(stream, f"{path}/worst/{part}", name, some, colours_of(some.error), describe_errors(some), thin, at)
-    grey = np.array([[*(round(255 * one) for one in to_rgb(REFUSED_COLOUR)), 255]], np.uint8)
     said = [f"refused: {one}" for one in describe_errors(refused)]
-    _log_arrows(stream, f"{path}/worst/{REFUSED_PART}", name, refused, grey, said, thin, at)
+    _log_arrows(stream, f"{path}/worst/{REFUSED_PART}", name, refused, REFUSED_RGBA[None], said, thin, at)
     if not at:
         worst = find_worst(field)
         columns = np.column_stack([worst.truth, worst.predicted, worst.error, _degrees(worst.heading)]).T
@@ -72,12 +75,13 @@ def describe_errors(field: WorstField) -> list[str]:
 
 def list_layers(name: str, field: ErrorField) -> list[str]:
     """Entities of the layers that a method has: errors at each heading, yaws, radii, errors that its map expects."""
-    has = {"yaw": field.yaw is not None, "radius": field.radius is not None, "expected": field.expected is not None}
-    return [*_list_headings(name, field), *(name_layer(name, layer) for layer in has if has[layer])]
+    has = {"yaw": field.yaw, "radius": field.radius, SIGMA: field.radius, ELLIPSES: field.covariance}
+    layers = [layer for layer, part in {**has, "expected": field.expected}.items() if part is not None]
+    return [*_list_headings(name, field), *(name_layer(name, layer) for layer in layers)]
 
 
 def name_layer(name: str, layer: str) -> str:
-    """The entity of a method's layer ``yaw``, ``radius`` or ``expected``."""
+    """The entity of a method's layer, such as ``yaw``, ``radius`` or ``expected``."""
     return f"world/error_field/{name}/{layer}"
 
 
@@ -115,11 +119,24 @@ def _draw_layers(field: ErrorField) -> Iterator[Layer]:
         rows = zip(100 * worst.radius, 100 * worst.error, strict=True)
         words = [f"68 % within {radius:.1f} cm, off by {error:.1f} cm" for radius, error in rows]
         yield "radius", "radius", rr.LineStrips3D(circles, radii=0.003 * thin, colors=colours_of(worst.radius)), words
+    if field.radius is not None:
+        sigma = np.where(field.is_accepted, field.radius, 0.0).max(axis=1)
+        colours = np.where(sigma[:, None] > 0.0, colours_of(sigma, (SIGMA_TICKS_M[0], SIGMA_TICKS_M[-1])), REFUSED_RGBA)
+        words = [f"68 % within {100 * one:.1f} cm" if one else "refused at all headings" for one in sigma]
+        yield SIGMA, "radius", _tile_places(field.truth, colours), words
+    if field.covariance is not None and field.radius_95 is not None:
+        some = np.unique(registration.thin(worst.predicted[None], MAX_ELLIPSES, ELLIPSE_SPACING_M))
+        rows = tuple(np.asarray(worst.row)[some].T)
+        # The shape is that of the covariance; the size is that of the radius, which is measured on images left out.
+        shape, radius = field.covariance[rows].astype(float), field.radius_95[rows]
+        covariance = shape * (2.0 * radius**2 / np.trace(shape, axis1=1, axis2=2))[:, None, None]
+        strips = draw_ellipses(worst.predicted[some], ELLIPSE_SCALE**2 * covariance, height_m)
+        axes = 100.0 * np.sqrt(np.linalg.eigvalsh(covariance))
+        words = [f"95 % within ± {long:.1f}, ± {short:.1f} cm" for short, long in axes]
+        yield ELLIPSES, "ellipse", rr.LineStrips3D(strips, radii=0.004, colors=[GOOD_COLOUR]), words
     if field.expected is not None:
-        apart = KDTree(field.truth).query(field.truth, min(2, len(field.truth)))[0].reshape(len(field.truth), -1)
-        size_m, colours = float(np.median(apart[:, -1])), colours_of(field.expected)
         words = [f"{100 * one:.2f} cm expected" for one in field.expected]
-        yield "expected", "expected", _make_tiles(field.truth, size_m, 2 * LAYER_M, colours), words
+        yield "expected", "expected", _tile_places(field.truth, colours_of(field.expected)), words
 
 
 def _draw_yaws(
@@ -150,14 +167,6 @@ def log_coverage(stream: rr.RecordingStream, place: np.ndarray, space: FreeSpace
     colours = colormaps["viridis"](np.log(count) / max(np.log(count.max()), 1e-9))[:, :3]
     tiles = _make_tiles((cell + 0.5) * CELL_M, 0.94 * CELL_M, 1.5 * LAYER_M, (255 * colours).astype(np.uint8))
     stream.log(DENSITY, tiles, rr.AnyValues(images=count), static=True)
-
-
-def draw_circles(centre: np.ndarray, radius: np.ndarray, z: float) -> np.ndarray:
-    """Circles around places (n, 2) [m] with radii (n,) [m], as closed lines (n, CIRCLE_POINTS, 3) at height z [m]."""
-    angle = np.linspace(0.0, 2.0 * np.pi, CIRCLE_POINTS)
-    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    points = centre[:, None] + radius[:, None, None] * circle
-    return lift(points.reshape(-1, 2), z).reshape(len(centre), CIRCLE_POINTS, 3)
 
 
 def draw_arrows(origins: np.ndarray, tips: np.ndarray, z: float = HEIGHT_M) -> np.ndarray:
@@ -196,6 +205,12 @@ def _log_arrows(
 
 def _degrees(heading: np.ndarray) -> np.ndarray:
     return np.round(np.degrees(heading)) % 360
+
+
+def _tile_places(places: np.ndarray, colours: np.ndarray) -> rr.Boxes3D:
+    """Flat squares on the floor around places (n, 2) [m], as large as these are apart."""
+    apart = KDTree(places).query(places, min(2, len(places)))[0].reshape(len(places), -1)
+    return _make_tiles(places, float(np.median(apart[:, -1])), 2 * LAYER_M, colours)
 
 
 def _make_tiles(middle: np.ndarray, size_m: float, height_m: float, colours: np.ndarray) -> rr.Boxes3D:

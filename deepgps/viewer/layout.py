@@ -9,7 +9,7 @@ import rerun.blueprint as rrb
 
 from deepgps.config.methods import title_of
 from deepgps.viewer.drive import DIAGNOSIS, POLAR_PICTURES
-from deepgps.viewer.error_field import COVERAGE, DENSITY
+from deepgps.viewer.error_field import COVERAGE, DENSITY, ELLIPSE_SCALE, ELLIPSES, SIGMA
 from deepgps.viewer.making import MAP_ENTITY, TEXT_ENTITY
 from deepgps.viewer.pictures import LARGE_ENTITY
 from deepgps.viewer.places import PICTURES
@@ -27,6 +27,7 @@ PICTURE_TITLES = {
 TICKS = ("Ticks per gap: left blue, right green", "drive/ticks", TICK_WINDOW_S)
 SEGMENT_ERROR = ("Encoder minus truth [mm]", "drive/segment_error", TICK_WINDOW_S)
 WHEELS = ("Diagnosis of the wheels", DIAGNOSIS)
+PIXEL_TITLES = ("Refused image", "Pixels that differ, magenta")
 STEPS, FIGURES = "steps", "report/figures"
 Layers = Mapping[str, Sequence[str]]  # Layers of a method's error field that are hidden at first, by method
 Part = rrb.Container | rrb.View
@@ -39,10 +40,12 @@ def make_blueprint(
     pictures: Mapping[str, str],
     drive_s: float,
     mapped: str | None = None,
+    trust: tuple[str, bool, bool] | None = None,
 ) -> rrb.Blueprint:
     """The viewer's layout for a finished run, which opens with what matters most, at the end of drive and training.
 
-    It takes titles of the sensors' pictures by name, and the method, if any, whose initial map's making is shown.
+    It takes titles of the sensors' pictures by name; the method, if any, whose initial map's making is shown; and the
+    method, if any, whose radii are shown by place, whether there are refused images, and pictures of these.
     """
     errors = rrb.Horizontal(series_view(*SEGMENT_ERROR, drive_s), series_view(*TICKS, drive_s))
     beside = rrb.Vertical(distribution_view(), text_view("The place at the slider", "place/text"), row_shares=[3, 2])
@@ -50,6 +53,7 @@ def make_blueprint(
         [
             _error_fields(space, layers, ["place/test/**"]),
             _worst_places(space, "polar" in pictures),
+            *([_trust(space, *trust)] if trust else []),
             _drive(space, pictures, errors),
             *([_making(space, mapped)] if mapped else []),
             *([_training(space, trained, [_loss_view(name) for name in trained])] if trained else []),
@@ -242,17 +246,34 @@ def _worst_places(space: FreeSpace, pictures: bool) -> Part:
     texts = [text_view("Place", "place/text"), text_view("Training images", "place/taken")]
     if not pictures:
         return rrb.Horizontal(floor, rrb.Vertical(*texts, row_shares=[3, 2]), column_shares=[5, 3], name=name)
-    rows = [
-        rrb.Horizontal(
-            *(
-                rrb.Spatial2DView(name=title, origin=f"place/{picture}/{kind}")
-                for title, picture in zip(titles, PICTURES, strict=True)
-            )
-        )
-        for kind, titles in PICTURE_TITLES.items()
-    ]
+    rows = [rrb.Horizontal(*row) for row in _picture_rows("place", PICTURES, PICTURE_TITLES)]
     below = rrb.Horizontal(floor, *texts, column_shares=[5, 5, 4])
     return rrb.Vertical(*rows, below, row_shares=[10, 3, 9], name=name)
+
+
+def _picture_rows(
+    root: str, pictures: Sequence[str], titles: Mapping[str, Sequence[str]]
+) -> list[list[rrb.Spatial2DView]]:
+    """Views of pictures below ``root``, in a row for each kind, which has their titles."""
+    kinds = [(kind, zip(pictures, some, strict=True)) for kind, some in titles.items()]
+    return [[rrb.Spatial2DView(name=title, origin=f"{root}/{one}/{kind}") for one, title in row] for kind, row in kinds]
+
+
+def _trust(space: FreeSpace, method: str, refused: bool, pictures: bool) -> Part:
+    """The radius that a method expects at each place, and images that it refuses: modes, and where they differ."""
+    name, eye = "Trust", aim_eye(space, reach=1.15, before=0.1)
+    title = f"{title_of(method)}: radius of 68 % by place; ellipses of 95 %, {ELLIPSE_SCALE} times as large"
+    layers = [f"error_field/{method}/{layer}" for layer in (SIGMA, ELLIPSES)]
+    sigma = room_view(title, ["floor_plan", "outline", "radius_scale/**", *layers], eye)
+    if not refused:
+        return rrb.Horizontal(sigma, name=name)
+    modes = room_view("Where the refused image may have been taken", ["floor_plan", "outline", "refused/**"], eye)
+    above = rrb.Horizontal(sigma, modes, text_view("Refused image", "refused/text"), column_shares=[5, 5, 4], name=name)
+    if not pictures:
+        return above
+    large, polar = _picture_rows("refused", ("image", "weight"), dict.fromkeys(("round", "polar"), PIXEL_TITLES))
+    below = rrb.Horizontal(*large, rrb.Vertical(*polar), column_shares=[1, 1, 2])
+    return rrb.Vertical(above, below, row_shares=[3, 2], name=name)
 
 
 def _drive(

@@ -27,11 +27,11 @@ from deepgps.viewer import drive
 from deepgps.viewer.connect import ANSWER_S, find_url, knock, open_viewer
 from deepgps.viewer.error_field import list_layers
 from deepgps.viewer.layout import STEPS, Layers, make_live_blueprint
+from deepgps.viewer.making import History, log_loss, log_snapshots
 from deepgps.viewer.pictures import make_warp
 from deepgps.viewer.run import LAYERS, READING_HINT, log_results
 from deepgps.viewer.scene import log_room
 from deepgps.viewer.stream import put_text, run_clock
-from deepgps.viewer.training import History, log_loss, log_snapshots
 from sim.errors import DamagedError, InputError, one_line
 from sim.files.checksums import read_arrays
 from sim.recording.format import Truth, chunk_files, has_truth, open_recording, open_truth, work_folder

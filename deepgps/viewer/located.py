@@ -10,11 +10,10 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from deepgps.viewer.connect import find_url, knock, open_viewer
-from deepgps.viewer.error_field import draw_circles
 from deepgps.viewer.layout import aim_eye, arrange, play, room_view
 from deepgps.viewer.live import LOST_VIEWER_ERRORS
 from deepgps.viewer.pictures import enlarge
-from deepgps.viewer.scene import LAYER_M, lift, log_room
+from deepgps.viewer.scene import LAYER_M, draw_circles, lift, log_room
 from sim.errors import InputError, one_line
 from sim.recording.format import has_truth, open_truth
 

@@ -1,9 +1,11 @@
-"""The initial map by compass in the making: its path, turns and loop closures at each stage, and its errors at the end.
+"""Maps in the making: the initial map by compass, and how trainings unfold theirs, with the loss below ``training``.
 
-Every stage is aligned with the last, and that with the true places; without truth, the map is in its own frame.
+The initial map has its path, turns and loop closures at each stage, and errors at the end. Every stage is aligned with
+the last, and that with the true places; without truth, the map is in its own frame. Trainings in progress are logged
+part by part, by the same functions.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,17 +16,19 @@ from deepgps.config.methods import folder_of
 from deepgps.data.segments import find_starts
 from deepgps.evaluation.map_errors import read_known_map
 from deepgps.initial_map.stored_map import StoredMap
-from deepgps.viewer.scene import LAYER_M, lift
-from deepgps.viewer.stream import making_rows, put, put_text
+from deepgps.reports import plots
+from deepgps.viewer.scene import LAYER_M, colours_of_places, draw_ellipses, lift
+from deepgps.viewer.stream import Rows, making_rows, put, put_text, send_rows, send_series, step_rows
 from sim.alignment import Alignment, fit_alignment
 from sim.recording.format import Recording
 
 MAP_ENTITY, TEXT_ENTITY = "world/making", "making"
+History = Mapping[str, np.ndarray]
 PATH_COLOUR, WARNING_COLOUR, TURN_COLOUR = (90, 160, 255), (255, 150, 40), (255, 230, 120)
 INLIER_COLOUR, OUTLIER_COLOUR, OPEN_COLOUR = (63, 208, 165), (232, 37, 79), (120, 130, 150)
 ARC_M, ARC_POINTS = 0.06, 12
-MAX_ELLIPSES, ELLIPSE_POINTS, SIGMAS, MIN_HALF_AXIS_M = 100, 24, 2.0, 0.06
-"""Most ellipses, points of each, standard deviations, and the half axis up to which the middle one is enlarged [m]."""
+MAX_ELLIPSES, SIGMAS, MIN_HALF_AXIS_M = 100, 2.0, 0.06
+"""Most ellipses, standard deviations, and the half axis up to which the middle one is enlarged [m]."""
 LEGEND = (
     "Blue: path; orange: parts that stay undecided. Yellow arcs: turns, by the two images before and after; point at "
     "one for its angle. Green: loop closures that are inliers; red: refused; grey: not judged yet. Each stage is "
@@ -117,11 +121,11 @@ def _draw_closures(stored: StoredMap, places: np.ndarray, stage: int) -> Iterato
 def _draw_ellipses(stored: StoredMap, world: Alignment, larger: float) -> Lines:
     known = np.flatnonzero(stored.known)
     some = known[np.linspace(0, len(known) - 1, min(MAX_ELLIPSES, len(known))).astype(int)]
-    outlines = outline_ellipses(stored.covariance[some], SIGMAS * larger) @ world.rotation.T
-    strips = [lift(one, 4 * LAYER_M) for one in outlines + world.apply(stored.places[some])[:, None]]
+    covariance = (SIGMAS * larger) ** 2 * world.rotation @ stored.covariance[some] @ world.rotation.T
+    strips = draw_ellipses(world.apply(stored.places[some]), covariance, 4 * LAYER_M)
     colours = np.where(stored.undecided[some, None], WARNING_COLOUR, (255, 255, 255)).astype(np.uint8)
     said = [f"± {100 * one:.2f} cm (RMS)" for one in stored.expected[some]]
-    return "ellipses", strips, 0.004, colours, {"expected": said}
+    return "ellipses", list(strips), 0.004, colours, {"expected": said}
 
 
 def enlarge(stored: StoredMap) -> float:
@@ -129,15 +133,6 @@ def enlarge(stored: StoredMap) -> float:
     middle = SIGMAS * float(np.median(stored.expected[stored.known])) / np.sqrt(2.0)
     steps = np.outer(10.0 ** np.arange(4), [1.0, 2.0, 5.0]).ravel()
     return float(steps[max(np.searchsorted(steps, MIN_HALF_AXIS_M / max(middle, 1e-9), "right") - 1, 0)])
-
-
-def outline_ellipses(covariance: np.ndarray, sigmas: float) -> np.ndarray:
-    """Outlines (n, ELLIPSE_POINTS, 2) [m] of so many standard deviations of covariances (n, 2, 2) [m^2]."""
-    angle = np.linspace(0.0, 2.0 * np.pi, ELLIPSE_POINTS)
-    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    value, axes = np.linalg.eigh(covariance)
-    root = axes * np.sqrt(value.clip(0.0))[:, None, :]
-    return sigmas * circle @ root.transpose(0, 2, 1)
 
 
 def _describe(stored: StoredMap, stage: int, off_m: float | None) -> list[str]:
@@ -150,3 +145,43 @@ def _describe(stored: StoredMap, stage: int, off_m: float | None) -> list[str]:
         share = 100 * stored.undecided.mean()
         words.append(f"The map itself expects an RMS error of {expected:.2f} cm; {share:.1f} % of it is undecided.")
     return words
+
+
+def training_rows(history: History) -> tuple[Rows, Rows]:
+    """Rows along the timelines for a training's losses, and for its snapshots."""
+    last = max(int(history["step"][-1]), int(history["snapshot_step"][-1]), 1)
+    return step_rows(history["step"], last), step_rows(history["snapshot_step"], last)
+
+
+def log_loss(stream: rr.RecordingStream, name: str, history: History, at: Rows, first: int = 0) -> None:
+    """Log the decimal logarithm of a training's losses from ``first`` on, and its running median."""
+    loss, colour = np.log10(np.maximum(np.asarray(history["loss"], float), 1e-9)), plots.colour_on_dark(name)
+    send_series(stream, f"training/{name}/loss", at, loss[first:], "loss", (*colour, 90))
+    send_series(stream, f"training/{name}/smooth", at, plots.smooth(loss, first), "median", colour)
+
+
+def log_snapshots(stream: rr.RecordingStream, name: str, place: np.ndarray, snapshots: np.ndarray, at: Rows) -> None:
+    """Log how the map (k, n, 2) [m] unfolds, and as arrows what is wrong with it, by the true places (n, 2) [m].
+
+    Each snapshot is aligned to the true places by translation and rotation. Only those of DeepGPS may be mirrored:
+    distances leave a mirror ambiguity, which turns resolve only after the training.
+    """
+    kind = "E2" if name.startswith("deepgps") else "SE2"
+    aligned = np.stack([fit_alignment(points, place, kind).apply(points) for points in snapshots.astype(float)])
+    log_points(stream, f"world/training/{name}", place, aligned, at)
+    vectors = (aligned - place).reshape(-1, 2)
+    origins, lengths = lift(np.tile(place, (len(aligned), 1)), LAYER_M), [len(place)] * len(aligned)
+    colours = plots.colours_of(np.linalg.norm(vectors, axis=1))
+    path, arrows = f"world/training_error/{name}", {"origins": origins, "vectors": lift(vectors, 0.0)}
+    send_rows(stream, path, rr.Arrows3D, at, {**arrows, "colors": colours}, {"radii": 0.008}, lengths)
+    dots, style = {"positions": origins, "colors": colours}, {"radii": 0.018, "point_shading": "Flat"}
+    send_rows(stream, f"{path}/places", rr.Points3D, at, dots, style, lengths)
+
+
+def log_points(
+    stream: rr.RecordingStream, path: str, place: np.ndarray, snapshots: Sequence[np.ndarray] | np.ndarray, at: Rows
+) -> None:
+    """Log each snapshot's points (n, 2) [m], in the colours of the places (n, 2)."""
+    colours = np.tile(colours_of_places(place), (len(snapshots), 1))
+    points = {"positions": lift(np.concatenate(list(snapshots)), LAYER_M), "colors": colours}
+    send_rows(stream, path, rr.Points3D, at, points, {"radii": 0.025}, [len(place)] * len(snapshots))

@@ -18,6 +18,7 @@ from sim.settings import CameraSettings
 PICTURES = "pictures.npz"  # File of the large pictures in a run's folder
 LARGE_ENTITY = "large"  # Name of the large pictures below ``drive``
 PICTURE_COUNT = 36
+ROUND_PX, POLAR_ZOOM = 256, 3
 JPEG_QUALITY = 85
 
 
@@ -74,6 +75,13 @@ def encode_jpeg(image: np.ndarray) -> bytes:
     """An RGB image (rows, columns, 3) uint8 as JPEG."""
     bgr = np.ascontiguousarray(image[..., ::-1])
     return cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
+
+
+def log_views(stream: rr.RecordingStream, path: str, images: np.ndarray, camera: CameraSettings, at: Rows) -> None:
+    """Log a camera's polar images (n, rings, sectors, 3) at so many times: enlarged, and as round pictures."""
+    warp = make_warp(camera, images.shape[1], images.shape[2], ROUND_PX)
+    log_jpegs(stream, f"{path}/polar", (encode_jpeg(enlarge(image, POLAR_ZOOM)) for image in images), at)
+    log_jpegs(stream, f"{path}/round", (encode_jpeg(warp_round(image, warp)) for image in images), at)
 
 
 def log_jpegs(stream: rr.RecordingStream, path: str, blobs: Iterable[bytes], at: Rows) -> None:

@@ -6,7 +6,6 @@ opens a timeline at its end.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
@@ -15,12 +14,13 @@ from scipy.spatial import KDTree
 
 from deepgps.config.methods import title_of
 from deepgps.evaluation.error_field import ErrorField
+from deepgps.positioner.registration import thin
 from deepgps.reports.table import tabulate
 from deepgps.viewer.drive import camera_of
-from deepgps.viewer.error_field import draw_arrows, draw_circles
-from deepgps.viewer.pictures import encode_jpeg, enlarge, log_jpegs, make_warp, warp_round
-from deepgps.viewer.scene import LAYER_M, lift
-from deepgps.viewer.stream import Rows, place_rows, send_rows
+from deepgps.viewer.error_field import draw_arrows
+from deepgps.viewer.pictures import log_views
+from deepgps.viewer.scene import LAYER_M, draw_circles, lift
+from deepgps.viewer.stream import Shapes, place_rows, send_rows, send_shapes
 from sim.recording.format import Recording, Truth
 from sim.recording.manifest import ObservationKind
 
@@ -30,7 +30,6 @@ LABEL_ABOVE = 0.07  # as a share of the room's depth
 SIMILAR_IMAGES = 2
 PICTURES = ("test", *(f"alike_{number + 1}" for number in range(SIMILAR_IMAGES)), "closest")
 COLOURS = {"test": (255, 255, 255), "alike": (255, 196, 60), "closest": (63, 208, 165)}
-ROUND_PX, POLAR_ZOOM = 256, 3
 HEADING_M = 0.22
 MAX_COMPARED = 20_000  # observations; of longer recordings, evenly spread ones
 SMALL_ROWS, SMALL_COLUMNS = 8, 64
@@ -59,11 +58,7 @@ def find_places(fields: Mapping[str, ErrorField], count: int = PLACES) -> list[P
     for method, field in fields.items():
         error = field.error
         order = np.argsort(-error.max(axis=1), kind="stable")
-        chosen: list[int] = []
-        for cell in order:
-            away = np.linalg.norm(field.truth[chosen] - field.truth[cell], axis=1)
-            if len(chosen) < count and (away > MIN_SEPARATION_M).all():
-                chosen.append(int(cell))
+        chosen = order[np.unique(thin(field.truth[None, order], count, MIN_SEPARATION_M))].tolist()
         places += [Place(method, rank + 1, cell, int(error[cell].argmax())) for rank, cell in enumerate(chosen)]
     return places
 
@@ -83,13 +78,11 @@ def log_places(
     away, closest = KDTree(truth.pose[:, :2]).query(true)
     shown = np.column_stack([find_alike(recording, tests, SIMILAR_IMAGES), closest])  # indices of training observations
     at, taken = place_rows(len(places)), truth.pose[shown]
-    _log_arrows(stream, cells, true, predicted, at)
-    _log_taken(stream, taken, at)
+    send_shapes(stream, "world/place", at, _draw(cells, true, predicted, taken))
     radii = [_radii_at(*one) for one in cells]
     counts = [len(some) for some in radii]
     circles = draw_circles(np.repeat(predicted, counts, axis=0), np.concatenate([[], *radii]), 5 * LAYER_M)
-    style = {"radii": 0.007, "colors": [COLOURS["test"]]}
-    send_rows(stream, "world/place/radius", rr.LineStrips3D, at, {"strips": circles}, style, counts)
+    send_shapes(stream, "world/place", at, {"radius": ({"strips": circles}, COLOURS["test"], 0.007)}, counts)
     texts = {
         "text": [_describe(number, places, fields, float(away[number])) for number in range(len(places))],
         "taken": [_describe_images(*one) for one in zip(true, taken, strict=True)],
@@ -98,7 +91,10 @@ def log_places(
         send_rows(stream, f"place/{name}", rr.TextDocument, at, {"text": rows}, {"media_type": "text/markdown"})
     if recording.kind == "polar_image":
         heading = np.array([_headings_at(field, place)[place.heading] for field, place in cells])
-        _log_pictures(stream, recording, tests, shown, taken[..., 2] - heading[:, None], at)
+        log_views(stream, "place/test", tests, camera_of(recording), at)
+        for name, numbers, yaw in zip(PICTURES[1:], shown.T, taken[..., 2].T, strict=True):
+            turned = np.stack(list(map(turn_picture, recording.observation[numbers], yaw - heading)))
+            log_views(stream, f"place/{name}", turned, camera_of(recording), at)
 
 
 def _headings_at(field: ErrorField, place: Place) -> np.ndarray:
@@ -159,74 +155,36 @@ def _describe_images(true: np.ndarray, taken: np.ndarray) -> str:
     return "\n\n".join(["Where the training images were taken:", tabulate(IMAGE_COLUMNS, images), NOTE])
 
 
-def _log_arrows(
-    stream: rr.RecordingStream,
-    cells: Sequence[tuple[ErrorField, Place]],
-    true: np.ndarray,
-    predicted: np.ndarray,
-    at: Rows,
-) -> None:
-    """Log each place's arrow above all others, with a label above it, since the viewer draws one below its point."""
-    _log(stream, "error", "test", {"strips": draw_arrows(true, predicted, 5 * LAYER_M)}, at)
-    _log(stream, "test", "test", {"positions": lift(true, 6 * LAYER_M)}, at)
+def _draw(
+    cells: Sequence[tuple[ErrorField, Place]], true: np.ndarray, predicted: np.ndarray, taken: np.ndarray
+) -> Shapes:
+    """Each place's arrow and label, and dots and headings of the training images (n, SIMILAR_IMAGES + 1, 3) below."""
     labels = [
         f"{100 * error:.1f} cm{'' if field.is_accepted[place.cell, place.heading] else ', refused'}"
         for error, (field, place) in zip(np.linalg.norm(predicted - true, axis=1), cells, strict=True)
     ]
-    above = true + [0, LABEL_ABOVE * np.ptp(cells[0][0].truth[:, 1])]
-    _log(stream, "test/label", "test", {"positions": lift(above, 6 * LAYER_M), "labels": labels}, at)
-
-
-def _log_taken(stream: rr.RecordingStream, taken: np.ndarray, at: Rows) -> None:
-    """Log where the training images (n, SIMILAR_IMAGES + 1, 3) were taken, with an arrow in the direction of each."""
-    for number, name in enumerate(PICTURES[1:]):
-        place, yaw = taken[:, number, :2], taken[:, number, 2]
+    above = true + [0, LABEL_ABOVE * np.ptp(cells[0][0].truth[:, 1])]  # the viewer draws a label below its point
+    shapes: Shapes = {
+        "error": ({"strips": draw_arrows(true, predicted, 5 * LAYER_M)}, COLOURS["test"], 0.014),
+        "test": ({"positions": lift(true, 6 * LAYER_M)}, COLOURS["test"], 0.03),
+        "test/label": ({"positions": lift(above, 6 * LAYER_M), "labels": labels}, COLOURS["test"], 0.0),
+    }
+    for name, pose in zip(PICTURES[1:], np.swapaxes(taken, 0, 1), strict=True):
         # a training image may be both: the closest one's dot is the larger and the lower
-        closest = name == PICTURES[-1]
-        dots = {"positions": lift(place, (4 if closest else 6) * LAYER_M)}
-        _log(stream, name, name, dots, at, 0.05 if closest else 0.03)
-        ahead = place + HEADING_M * np.stack([np.cos(yaw), np.sin(yaw)], axis=1)
-        arrows = draw_arrows(place, ahead, (3 if closest else 5) * LAYER_M)
-        _log(stream, f"{name}/heading", name, {"strips": arrows}, at)
+        kind, closest = name.partition("_")[0], name == PICTURES[-1]
+        dots, arrows = lift(pose[:, :2], (4 if closest else 6) * LAYER_M), draw_headings(pose, (3 if closest else 5))
+        shapes[name] = ({"positions": dots}, COLOURS[kind], 0.05 if closest else 0.03)
+        shapes[f"{name}/heading"] = ({"strips": arrows}, COLOURS[kind], 0.014)
         if not closest:
-            labels = [name.removeprefix("alike_")] * len(place)
-            _log(stream, f"{name}/label", name, {"positions": lift(ahead, 6 * LAYER_M), "labels": labels}, at)
+            tips = {"positions": arrows[:, 1] + [0, 0, LAYER_M], "labels": [name.removeprefix("alike_")] * len(pose)}
+            shapes[f"{name}/label"] = (tips, COLOURS[kind], 0.0)
+    return shapes
 
 
-def _log(
-    stream: rr.RecordingStream, entity: str, name: str, rows: Mapping[str, Any], at: Rows, radius_m: float = 0.03
-) -> None:
-    """Log lines, labels or dots in the colour of a picture."""
-    style: dict[str, Any] = {"radii": radius_m, "colors": [COLOURS[name.partition("_")[0]]], "point_shading": "Flat"}
-    if "strips" in rows:
-        style = {"radii": 0.014, "colors": style["colors"]}
-    elif "labels" in rows:
-        style = {"radii": 0.0, "colors": style["colors"], "show_labels": True}
-    kind = rr.LineStrips3D if "strips" in rows else rr.Points3D
-    send_rows(stream, f"world/place/{entity}", kind, at, rows, style)
-
-
-def _log_pictures(
-    stream: rr.RecordingStream,
-    recording: Recording,
-    tests: np.ndarray,
-    shown: np.ndarray,
-    turn: np.ndarray,
-    at: Rows,
-) -> None:
-    """Log test images (n, rings, sectors, 3) and training images ``shown``, polar and as round pictures.
-
-    Training images are turned by angles (n, SIMILAR_IMAGES + 1) [rad] to the test image's heading.
-    """
-    rings, sectors = recording.observation.shape[1:3]
-    warp = make_warp(camera_of(recording), rings, sectors, ROUND_PX)
-    images = {"test": list(tests)}
-    for name, numbers, angles in zip(PICTURES[1:], shown.T, turn.T, strict=True):
-        rows = zip(recording.observation[numbers], angles, strict=True)
-        images[name] = [turn_picture(image, angle) for image, angle in rows]
-    for name, polar in images.items():
-        log_jpegs(stream, f"place/{name}/polar", (encode_jpeg(enlarge(image, POLAR_ZOOM)) for image in polar), at)
-        log_jpegs(stream, f"place/{name}/round", (encode_jpeg(warp_round(image, warp)) for image in polar), at)
+def draw_headings(pose: np.ndarray, layer: int) -> np.ndarray:
+    """Arrows ahead of poses (n, 3) [m, m, rad] as ``draw_arrows`` draws them, in a layer."""
+    ahead = HEADING_M * np.stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])], axis=1)
+    return draw_arrows(pose[:, :2], pose[:, :2] + ahead, layer * LAYER_M)
 
 
 def turn_picture(polar: np.ndarray, angle: float) -> np.ndarray:

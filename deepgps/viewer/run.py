@@ -18,6 +18,7 @@ from deepgps.diagnosis.store import FILE as DIAGNOSIS
 from deepgps.evaluation.error_field import ErrorField, read_all_headings
 from deepgps.evaluation.map_errors import find_true_camera
 from deepgps.evaluation.without_truth import read_judged
+from deepgps.reports.plots import TICKS_M
 from deepgps.reports.run_figures import read_histories
 from deepgps.reports.run_report import OVERVIEW, describe, judge_run, markdown_report, markdown_table, read_metrics
 from deepgps.reports.without_truth import markdown
@@ -33,16 +34,16 @@ from deepgps.viewer.drive import (
     log_path,
     log_ticks,
 )
-from deepgps.viewer.error_field import list_layers, log_coverage, log_field, log_layers
+from deepgps.viewer.error_field import SIGMA_TICKS_M, list_layers, log_coverage, log_field, log_layers
 from deepgps.viewer.layout import FIGURES, make_blueprint, make_blueprint_without_truth
-from deepgps.viewer.making import find_map, log_making
+from deepgps.viewer.making import find_map, log_loss, log_making, log_points, log_snapshots, training_rows
 from deepgps.viewer.pictures import LARGE_ENTITY, PICTURES, read_pictures
 from deepgps.viewer.places import find_places, log_places
 from deepgps.viewer.plot import log_distribution
 from deepgps.viewer.read import open_rrd
+from deepgps.viewer.refused import find_refused, log_refused
 from deepgps.viewer.scene import log_room, log_scale
 from deepgps.viewer.stream import drive_clock, hash_files, put_text, save_recording, send_series
-from deepgps.viewer.training import log_loss, log_points, log_snapshots, training_rows
 from sim.files.checksums import is_intact
 from sim.geometry import FreeSpace, limits
 from sim.recording.format import Recording, has_truth, is_whole, open_recording, open_truth
@@ -55,8 +56,9 @@ SLIDER_HINT = (
 )
 LAYERS = (
     "The panel on the left (button at the top right) switches on and off: each heading, errors above and below 10 cm, "
-    "refused ones, circles of the radii, predicted yaws (arrows of 7 cm; those off by more than 5 degrees in magenta), "
-    "errors that the initial map expects, floor that is not covered by images, images per cell of 0.25 m."
+    "refused ones, circles of the radii, radii by place and ellipses (as in the tab Trust), predicted yaws (arrows of "
+    "7 cm; those off by more than 5 degrees in magenta), errors that the initial map expects, floor not covered by "
+    "images, images per cell of 0.25 m."
 )
 WITHOUT_TRUTH_NOTE = (
     "This recording has no ground truth, so there is no error field. *Drive* plays the sensor data and the "
@@ -80,12 +82,16 @@ def write_run(run: Path) -> Path:
     mapped, stored = find_map(run, fields)
     titles = ({LARGE_ENTITY: "Fisheye, drawn larger for people"} if pictures else {}) | find_pictures(recording)
     layers = {name: list_layers(name, field) for name, field in fields.items()}
-    blueprint = make_blueprint(space, layers, list(histories), titles, _find_length_s(recording), mapped)
+    sure, refused = [name for name in fields if fields[name].radius is not None], find_refused(run, fields, recording)
+    trust = (sure[0], refused is not None, refused is not None and refused.weight is not None) if sure else None
+    blueprint = make_blueprint(space, layers, list(histories), titles, _find_length_s(recording), mapped, trust)
 
     def log(stream: rr.RecordingStream) -> None:
         log_room(stream, recording.folder / "scene.glb", space)
         log_results(stream, metrics, fields, space, driven, [READING_HINT, SLIDER_HINT, LAYERS])
         log_places(stream, fields, find_places(fields), recording, truth)
+        if refused is not None:
+            log_refused(stream, refused, recording)
         log_drive(stream, recording, truth, pictures)
         log_encoders(stream, recording, truth)
         log_diagnosis(stream, run)
@@ -127,7 +133,8 @@ def log_results(
 ) -> None:
     """Log a run's error fields with their layers and scale, its figures, how to read them, and the coverage of its
     floor by training images at true positions (N, 2) [m]."""
-    log_scale(stream, "world/scale", *limits(space))
+    for path, ticks in (("world/scale", TICKS_M), ("world/radius_scale", SIGMA_TICKS_M)):
+        log_scale(stream, path, *limits(space), ticks)
     for name, field in fields.items():
         log_field(stream, name, field)
         log_layers(stream, name, field)

@@ -4,7 +4,7 @@ In a study they change along its timelines: a function with the argument ``at``,
 that is valid from these places on.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import cv2
@@ -14,13 +14,14 @@ import rerun.blueprint as rrb
 import trimesh
 from matplotlib.colors import hsv_to_rgb, to_rgb
 
-from deepgps.reports.plots import SCALE_M, SCREEN, TICKS_M, colours_of
+from deepgps.reports.plots import SCREEN, TICKS_M, colours_of
 from deepgps.viewer.stream import Rows, put
 from sim.errors import InputError
 from sim.geometry import FreeSpace, limits
 
 LAYER_M = 0.01  # height of one drawn layer above the next
 SCALE_COLOURS = 65  # colours along a scale
+ELLIPSE_POINTS = 37
 STILL_BEHAVIOUR = rrb.EntityBehavior(interactive=False)
 BACKDROP = ("room", "floor_plan", "outline", "scale")
 """Entities that cannot tell anything and so do not catch the pointer."""
@@ -54,13 +55,14 @@ def log_floor(stream: rr.RecordingStream, space: FreeSpace, at: Rows = (), root:
     put(stream, f"{root}/outline", rr.LineStrips3D(strips, radii=0.008, colors=[120, 130, 150]), at)
 
 
-def log_scale(stream: rr.RecordingStream, path: str, low: np.ndarray, high: np.ndarray) -> None:
-    """Log the colour scale of errors as a strip below a rectangle of the floor, from ``low`` to ``high`` (2,) [m]."""
-    decades = np.log(SCALE_M[1] / SCALE_M[0])
-    ticks = np.array(TICKS_M)
-    colours = colours_of(SCALE_M[0] * np.exp(np.linspace(0, 1, SCALE_COLOURS) * decades))
-    labels = [f"{100 * ticks[0]:g} cm", *(f"{100 * tick:g}" for tick in ticks[1:-1]), f"{ticks[-1]:g} m"]
-    log_strip(stream, path, low, high, colours, dict(zip(np.log(ticks / SCALE_M[0]) / decades, labels, strict=True)))
+def log_scale(
+    stream: rr.RecordingStream, path: str, low: np.ndarray, high: np.ndarray, ticks_m: Sequence[float] = TICKS_M
+) -> None:
+    """Log the colour scale of lengths as a strip below a rectangle of the floor, from ``low`` to ``high`` (2,) [m]."""
+    share = np.log(np.array(ticks_m) / ticks_m[0]) / np.log(ticks_m[-1] / ticks_m[0])
+    colours = colours_of(np.geomspace(ticks_m[0], ticks_m[-1], SCALE_COLOURS), (ticks_m[0], ticks_m[-1]))
+    labels = [f"{100 * ticks_m[0]:g} cm", *(f"{100 * tick:g}" for tick in ticks_m[1:-1]), f"{ticks_m[-1]:g} m"]
+    log_strip(stream, path, low, high, colours, dict(zip(share, labels, strict=True)))
 
 
 def log_strip(
@@ -90,6 +92,20 @@ def log_strip(
 def lift(points: np.ndarray, z: float) -> np.ndarray:
     """Points (N, 2) as (N, 3) at height ``z`` [m]."""
     return np.concatenate([points, np.full((len(points), 1), z)], axis=1)
+
+
+def draw_ellipses(centre: np.ndarray, covariance: np.ndarray, z: float) -> np.ndarray:
+    """Ellipses of covariances (n, 2, 2) [m^2] around places (n, 2) [m], as lines (n, ELLIPSE_POINTS, 3) at height z."""
+    angle = np.linspace(0.0, 2.0 * np.pi, ELLIPSE_POINTS)
+    value, axes = np.linalg.eigh(covariance)
+    root = axes * np.sqrt(value.clip(0.0))[:, None, :]
+    points = centre[:, None] + np.stack([np.cos(angle), np.sin(angle)], axis=1) @ np.swapaxes(root, 1, 2)
+    return lift(points.reshape(-1, 2), z).reshape(len(centre), ELLIPSE_POINTS, 3)
+
+
+def draw_circles(centre: np.ndarray, radius: np.ndarray, z: float) -> np.ndarray:
+    """Circles around places (n, 2) [m] with radii (n,) [m], as ``draw_ellipses`` draws ellipses."""
+    return draw_ellipses(centre, radius[:, None, None] ** 2 * np.eye(2), z)
 
 
 def open_room(scene: Path, space: FreeSpace) -> bytes:

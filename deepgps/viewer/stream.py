@@ -1,9 +1,9 @@
 """Logging along timelines, and saving: atomically, without wall-clock time, and equal contents for equal runs.
 
 The timelines of a run are ``drive_time`` [s], ``step`` of training, ``making`` (stages of the initial map), ``place``,
-which ends with the worst place, and ``progress``, which runs from 0 to ``PROGRESS_END_S`` through the drive, the map's
-making, the training and the worst places at the same time, so that its slider changes every tab. A run in progress has
-``run_time`` [s] alone.
+which ends with the worst place, ``refused``, which ends with the image most unlike all others, and ``progress``, which
+runs from 0 to ``PROGRESS_END_S`` through all of these at the same time, so that its slider changes every tab. A run in
+progress has ``run_time`` [s] alone.
 """
 
 import hashlib
@@ -24,10 +24,12 @@ from sim.files.atomic import write_bytes
 from sim.files.checksums import check_sum, drop_sum, sha256, write_sum
 from sim.recording.format import Recording
 
-DRIVE_TIME, STEP, MAP_STAGE, PLACE, PROGRESS = "drive_time", "step", "making", "place", "progress"
+DRIVE_TIME, STEP, MAP_STAGE, PLACE, REFUSED_IMAGE = "drive_time", "step", "making", "place", "refused"
+PROGRESS = "progress"
 RUN_TIME = "run_time"
 PROGRESS_END_S = 100.0  # Seconds in which the viewer plays everything; a second is one per cent
 Rows = Sequence[rr.TimeColumn]  # Times of some rows, on one or several timelines
+Shapes = dict[str, tuple[Mapping[str, Any], Sequence[int], float]]  # By entity: components, colour, radius [m]
 Clock = Callable[[np.ndarray], Rows]  # Makes rows at times of a drive (n,) [s]
 
 
@@ -78,6 +80,16 @@ def send_rows(
     stream.send_columns(path, at, columns if lengths is None else columns.partition(lengths))
 
 
+def send_shapes(
+    stream: rr.RecordingStream, root: str, at: Rows, shapes: Shapes, lengths: Sequence[int] | None = None
+) -> None:
+    """Log lines, dots or labels along timelines, as ``send_rows`` does."""
+    for name, (rows, colour, radius_m) in shapes.items():
+        kind, style = (rr.LineStrips3D, {}) if "strips" in rows else (rr.Points3D, {"point_shading": "Flat"})
+        style |= {"radii": radius_m, "colors": [colour], **({"show_labels": True} if "labels" in rows else {})}
+        send_rows(stream, f"{root}/{name}", kind, at, rows, style, lengths)
+
+
 def send_series(
     stream: rr.RecordingStream,
     path: str,
@@ -118,10 +130,10 @@ def making_rows(stage: int, last: int) -> Rows:
     return _with_progress(rr.TimeColumn(MAP_STAGE, sequence=[stage]), [PROGRESS_END_S * (stage / max(last, 1))])
 
 
-def place_rows(count: int) -> Rows:
-    """Rows for the worst places, the worst first; it is at the end of both timelines, where the viewer opens them."""
+def place_rows(count: int, timeline: str = PLACE) -> Rows:
+    """Rows for some places, the worst first; it is at the end of both timelines, where the viewer opens them."""
     place = np.arange(count, 0, -1)  # not from -1 down: at negative times, the viewer shows no pictures
-    return _with_progress(rr.TimeColumn(PLACE, sequence=place), PROGRESS_END_S * (place - 1) / max(count - 1, 1))
+    return _with_progress(rr.TimeColumn(timeline, sequence=place), PROGRESS_END_S * (place - 1) / max(count - 1, 1))
 
 
 def until_now(timelines: Sequence[str] = (DRIVE_TIME, PROGRESS)) -> list[rrb.VisibleTimeRange]:

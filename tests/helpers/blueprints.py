@@ -1,6 +1,7 @@
 """The layout in a recording, for tests of what its views show, and whether a recording is whole."""
 
 import subprocess
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -9,6 +10,14 @@ from rerun.chunk import RrdReader
 from deepgps.viewer.connect import find_viewer
 
 OVERRIDES = "/ViewContents/overrides/"
+
+
+def count_rows(path: Path) -> Counter[str]:
+    """Rows of each entity of a recording along its timelines; what is static counts none."""
+    counts = Counter[str]()
+    for chunk in RrdReader(path).stream():
+        counts[chunk.entity_path] += chunk.num_rows if chunk.timeline_names else 0
+    return counts
 
 
 def find_missing(path: Path) -> list[str]:

@@ -126,10 +126,13 @@ def make_predictions(test_pose: np.ndarray, error_m: float, lost: float, rng: np
 
 
 def refuse_some(field: ErrorField, rng: np.random.Generator) -> ErrorField:
-    """The field with a novelty that follows the errors, radii by it, and a tenth of the images refused."""
+    """The field with a novelty that follows the errors, radii by it, and a tenth of the images refused, and a place."""
     novelty = (0.01 + field.error) * np.exp(0.3 * rng.standard_normal(field.error.shape))
     accepted = novelty < np.quantile(novelty, 0.9)
-    return replace(field, novelty=novelty, radius=novelty, radius_95=2 * novelty, accepted=accepted)
+    accepted[-1] = False
+    covariance = novelty[..., None, None] ** 2 * np.diag([0.8, 0.2])
+    trust = {"accepted": accepted, "covariance": covariance, "reason": (~accepted).astype(np.int8)}
+    return replace(field, novelty=novelty, radius=novelty, radius_95=2 * novelty, **trust)
 
 
 def make_history(points: np.ndarray, error_m: float, rng: np.random.Generator) -> dict[str, np.ndarray]:

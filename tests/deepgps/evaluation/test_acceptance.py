@@ -157,10 +157,12 @@ def test_a_method_that_accepts_nothing_has_no_figure_of_what_it_accepts() -> Non
 def test_what_poses_tell_is_ordered_as_the_test_images_are_and_a_method_that_tells_nothing_has_no_figures() -> None:
     numbers, true = np.arange(12.0), np.zeros((4, 3, 3))
     true[3, 1, 0] = np.nan
-    poses = Poses(
-        np.zeros((12, 2)), novelty=numbers, radius_68=numbers + 1, radius_95=numbers + 2, accepted=numbers < 5
-    )
-    told = measures.make_field(poses, true, Alignment(np.eye(2), np.zeros(2), 1.0))
+    covariance = (1.0 + numbers[:, None, None]) * np.diag([4.0, 1.0])
+    parts = {"novelty": numbers, "radius_68": numbers + 1, "radius_95": numbers + 2, "accepted": numbers < 5}
+    poses = Poses(np.zeros((12, 2)), **parts, covariance=covariance, reason=numbers)
+    told = measures.make_field(poses, true, Alignment(np.array([[0.6, -0.8], [0.8, 0.6]]), np.zeros(2), 1.0))
+    assert told.covariance is not None and told.reason is not None and told.reason[1, 2] == 5
+    np.testing.assert_allclose(told.covariance[1, 2] @ [0.6, 0.8], 6.0 * 4.0 * np.array([0.6, 0.8]), rtol=1e-6)
     assert len(told.truth) == 3 and told.yaw is None
     for part, value in ((told.novelty, 5.0), (told.radius, 6.0), (told.radius_95, 7.0), (told.accepted, False)):
         assert part is not None and part[1, 2] == value
@@ -173,7 +175,7 @@ def test_what_was_accepted_reads_back_and_old_files_tell_nothing(tmp_path: Path)
     old = ErrorField(field.truth, field.heading, field.predicted)
     write_fields(tmp_path / "error_field.npz", {"new": field, "old": old})
     read = read_all_headings(tmp_path)
-    for part in ("novelty", "radius", "radius_95", "accepted"):
+    for part in ("novelty", "radius", "radius_95", "accepted", "covariance", "reason"):
         np.testing.assert_array_equal(getattr(read["new"], part), getattr(field, part))
         assert getattr(read["old"], part) is None
     assert read["new"].accepted is not None and read["new"].accepted.dtype == bool

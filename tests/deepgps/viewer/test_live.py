@@ -7,7 +7,6 @@ import subprocess
 import sys
 import threading
 import time
-from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -26,12 +25,11 @@ from deepgps.viewer.drive import ROBOT
 from deepgps.viewer.error_field import PARTS
 from deepgps.viewer.live import LiveDrive, LiveView, show_live
 from deepgps.viewer.read import read_entity
-from deepgps.viewer.stream import RUN_TIME
 from sim.errors import InputError, WorkError
 from sim.files.checksums import write_arrays
 from sim.recording.format import chunk_files, open_truth, work_folder
 from sim.settings import CameraSettings
-from tests.helpers.blueprints import find_missing
+from tests.helpers.blueprints import count_rows, find_missing
 from tests.helpers.command import MINI, arrays, assert_one_clear_line, deepgps, deepgps_here, drop_progress, wait_until
 from tests.helpers.live_server import serve_grpc
 from tests.helpers.toy import make_toy
@@ -52,22 +50,13 @@ def watched(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return folder / "run", got
 
 
-def rows(path: Path) -> Counter[str]:
-    """Rows of each entity along the run's time."""
-    counts = Counter()
-    for chunk in RrdReader(path).stream():
-        if RUN_TIME in chunk.timeline_names:
-            counts[chunk.entity_path] += chunk.num_rows
-    return counts
-
-
 # The server is killed at last, and does not close its file.
 no_footer = pytest.mark.filterwarnings("ignore:RRD file has no footer")
 
 
 def check_whole(run: Path, got: Path) -> None:
     """Assert that what a viewer got of a run is all of it."""
-    counts = rows(got)
+    counts = count_rows(got)
     assert counts["/world/drive/path"] >= len(np.unique(np.load(run / "recording" / "truth" / "reading.npy")[:, 0]))
     # the drive goes on to the end of its chunk, and is cut to the samples wanted
     assert counts[f"/{ROBOT}"] >= len(np.load(run / "recording" / "truth" / "pose.npy"))
@@ -99,7 +88,7 @@ def test_a_finished_run_is_sent_whole(finished_run: Path, tmp_path: Path) -> Non
         view.update()  # nothing is sent twice
         stream.disconnect()
     check_whole(finished_run, tmp_path / "got.rrd")
-    assert rows(tmp_path / "got.rrd")[f"/{ROBOT}"] == len(open_truth(finished_run / "recording").pose)
+    assert count_rows(tmp_path / "got.rrd")[f"/{ROBOT}"] == len(open_truth(finished_run / "recording").pose)
 
 
 @pytest.mark.slow
@@ -150,15 +139,11 @@ def test_segments_after_the_last_chunk_that_was_seen_are_whole(tmp_path: Path, e
     with rr.RecordingStream("test") as stream:
         stream.save(path)
         drive = LiveDrive(stream, recording.folder, CameraSettings())
-        drive.send_chunks(count_rows)
-        drive.send_rest(recording.observation, truth, count_rows)
+        drive.send_chunks(np.arange)
+        drive.send_rest(recording.observation, truth, np.arange)
         stream.disconnect()
     shown = np.concatenate(read_entity(path, "world/drive/path")["LineStrips3D:strips"].drop_null().to_pylist())
     np.testing.assert_allclose(shown[:, :, :2], truth.pose[strips, :2], atol=1e-6)
-
-
-def count_rows(rows: int) -> np.ndarray:
-    return np.arange(rows)
 
 
 HANGING_VIEWER = """

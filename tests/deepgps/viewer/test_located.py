@@ -9,18 +9,13 @@ import cv2
 import numpy as np
 import pytest
 import rerun as rr
-from rerun.chunk import RrdReader
 
 import deepgps
 from deepgps.viewer.located import LocatedView
+from tests.helpers.blueprints import count_rows
 from tests.helpers.command import deepgps as deepgps_command
 from tests.helpers.command import deepgps_here
 from tests.helpers.live_server import serve_grpc
-
-
-def rows(path: Path, entity: str) -> int:
-    """Rows of an entity."""
-    return sum(chunk.num_rows for chunk in RrdReader(path).stream() if str(chunk.entity_path).strip("/") == entity)
 
 
 @pytest.mark.slow
@@ -37,7 +32,8 @@ def test_the_viewer_gets_every_pose(finished_run: Path, tmp_path: Path):
         server.send_signal(signal.SIGINT)
         server.wait(10)
     assert (done.returncode, done.stderr, len(done.stdout.splitlines())) == (0, "", 3)
-    assert [rows(got, name) for name in ("world/located/position", "world/located/yaw", "image")] == [3, 3, 3]
+    counts = count_rows(got)
+    assert counts["/world/located/position"] == counts["/world/located/yaw"] == counts["/image"] == 3
 
 
 def test_refused_images_are_no_part_of_the_way(tmp_path: Path):

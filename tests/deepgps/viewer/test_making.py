@@ -8,7 +8,7 @@ import pytest
 import rerun as rr
 
 from deepgps.initial_map.stored_map import FILE, StoredMap
-from deepgps.viewer.making import MAP_ENTITY, MAX_ELLIPSES, MIN_HALF_AXIS_M, SIGMAS, enlarge, outline_ellipses
+from deepgps.viewer.making import MAP_ENTITY, MAX_ELLIPSES, MIN_HALF_AXIS_M, SIGMAS, enlarge
 from deepgps.viewer.read import read_entity
 from deepgps.viewer.run import RECORDING, write_run
 from deepgps.viewer.stream import MAP_STAGE as TIMELINE
@@ -90,14 +90,6 @@ def test_every_view_of_the_tab_shows_what_was_logged_and_expectations_are_hidden
     assert "making" in origins
     hidden = [entity for entity, seen in read_layout(run / RECORDING, "EntityBehavior:visible") if not all(seen)]
     assert any("error_field/deepgps/expected" in entity for entity in hidden)
-
-
-def test_an_outline_is_so_many_standard_deviations_away():
-    root = np.array([[[0.03, 0.0], [0.02, 0.01]], [[0.5, 0.0], [0.0, 0.1]]])
-    covariance = root @ root.transpose(0, 2, 1)
-    outline = outline_ellipses(covariance, 3.0)
-    away = np.einsum("nka,nab,nkb->nk", outline, np.linalg.inv(covariance), outline)
-    np.testing.assert_allclose(np.sqrt(away), 3.0)
 
 
 @pytest.mark.parametrize("std_m", [1e-5, 0.003, 0.02, 0.5])

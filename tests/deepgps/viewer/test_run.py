@@ -13,6 +13,7 @@ import pyarrow.compute as pc
 import pytest
 import rerun as rr
 from rerun.chunk import RrdReader
+from scipy.spatial import KDTree
 from scipy.spatial.distance import pdist
 
 from deepgps.config.methods import title_of
@@ -20,7 +21,7 @@ from deepgps.evaluation.error_field import find_worst, read_all_headings, split_
 from deepgps.viewer import drive, places
 from deepgps.viewer import run as recording
 from deepgps.viewer.drive import ROBOT
-from deepgps.viewer.error_field import COVERAGE, DENSITY
+from deepgps.viewer.error_field import COVERAGE, DENSITY, ELLIPSE_SCALE, ELLIPSES, SIGMA
 from deepgps.viewer.pictures import choose_views, write_pictures
 from deepgps.viewer.places import PICTURES, find_alike, find_places, turn_picture
 from deepgps.viewer.read import read_entity, read_error_field, read_error_table
@@ -31,7 +32,7 @@ from sim.errors import InputError, WorkError
 from sim.recording.format import finish_recording, read_manifest
 from sim.sensors.camera.lens import make_lens, project_polar
 from sim.settings import CameraSettings
-from tests.helpers.blueprints import call_rerun, find_missing, read_layout
+from tests.helpers.blueprints import call_rerun, count_rows, find_missing, read_layout
 from tests.helpers.synthetic_run import METHODS, REFUSING, write_synthetic_run
 
 SAMPLES = 60
@@ -70,15 +71,6 @@ def changed(run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         patch.setattr(drive, "MAX_IMAGES", 25)
         write_run(folder)
     return folder
-
-
-def rows_by_entity(path: Path) -> dict[str, int]:
-    """Rows of each entity over time; static ones count none."""
-    counts: dict[str, int] = {}
-    for chunk in RrdReader(path).stream():
-        timed = set(chunk.to_record_batch().schema.names) & {DRIVE_TIME, STEP, PLACE}
-        counts[chunk.entity_path] = counts.get(chunk.entity_path, 0) + (chunk.num_rows if timed else 0)
-    return counts
 
 
 def read_along(run: Path, entity: str, timeline: str) -> pa.Table:
@@ -152,7 +144,7 @@ def test_only_snapshots_of_deepgps_are_turned_over(run: Path) -> None:
 
 
 def test_drive_and_training_are_there_row_by_row(run: Path) -> None:
-    counts, readings = rows_by_entity(run / RECORDING), len(np.load(run / "recording" / "reading.npy"))
+    counts, readings = count_rows(run / RECORDING), len(np.load(run / "recording" / "reading.npy"))
     expected = dict.fromkeys(["/drive/fisheye", "/drive/polar", f"/{ROBOT}"], SAMPLES)
     for path in (
         *("drive/distance/encoder", "drive/distance/truth", "drive/difference", "drive/segment_error"),
@@ -240,7 +232,7 @@ def test_both_timelines_of_places_end_with_the_worst_of_the_first_method(run: Pa
             if place.rank == 1:
                 assert error == pytest.approx(100 * fields[place.method].error.max())
     assert read_along(run, "place/text", PLACE)[PLACE].to_pylist() == list(range(1, len(places) + 1))
-    counts = rows_by_entity(run / RECORDING)
+    counts = count_rows(run / RECORDING)
     for name in PICTURES:
         for kind in ("round", "polar"):
             assert counts[f"/place/{name}/{kind}"] == counts["/world/place/error"] == len(places)
@@ -279,13 +271,22 @@ def test_radii_are_circles_around_the_predictions_of_what_is_accepted(run: Path)
                 read_entity(run / RECORDING, f"world/error_field/{method}/radius")
             continue
         accepted, _ = split_by_acceptance(field)
-        rows = read_entity(run / RECORDING, f"world/error_field/{method}/radius")
-        circles = np.array(rows["LineStrips3D:strips"].combine_chunks().flatten().to_pylist())[..., :2]
+        path, strips = f"world/error_field/{method}", "LineStrips3D:strips"
+        circles = np.array(read_flat(run / RECORDING, f"{path}/radius", strips))[..., :2]
         away = np.linalg.norm(circles - accepted.predicted[:, None], axis=-1)
         assert accepted.radius is not None
         np.testing.assert_allclose(away, np.broadcast_to(accepted.radius[:, None], away.shape), atol=1e-5)
-        said = rows["radius"].combine_chunks().flatten().to_pylist()
+        said = read_flat(run / RECORDING, f"{path}/radius", "radius")
         assert said[0] == f"68 % within {100 * accepted.radius[0]:.1f} cm, off by {100 * accepted.error[0]:.1f} cm"
+        ellipses = np.array(read_flat(run / RECORDING, f"{path}/{ELLIPSES}", strips))[..., :2]
+        apart, near = KDTree(accepted.predicted).query((ellipses.min(axis=1) + ellipses.max(axis=1)) / 2.0)
+        half = np.ptp(ellipses, axis=1) / 2.0 / ELLIPSE_SCALE  # axes are x and y, twice as long along x
+        assert len(half) > 0.9 * len(accepted.radius) and apart.max() < 1e-5
+        np.testing.assert_allclose(half[:, 0], 2.0 * half[:, 1], rtol=1e-3)
+        np.testing.assert_allclose(np.sqrt((half**2).mean(axis=1)), 2.0 * accepted.radius[near], rtol=1e-3)
+        largest = 100 * np.where(field.is_accepted, np.asarray(field.radius), 0).max(axis=1)
+        expected = [f"68 % within {one:.1f} cm" if one else "refused at all headings" for one in largest]
+        assert read_flat(run / RECORDING, f"{path}/{SIGMA}", "radius") == expected and 0 in largest
 
 
 def test_a_worst_place_shows_its_radii_and_says_whether_it_was_refused(run: Path) -> None:
@@ -313,7 +314,7 @@ def test_the_recording_is_whole_without_wall_clock(run: Path) -> None:
 
 
 def test_a_long_drive_has_fewer_pictures_and_large_ones_where_they_were_drawn(changed: Path) -> None:
-    counts = rows_by_entity(changed / RECORDING)
+    counts = count_rows(changed / RECORDING)
     assert counts["/drive/fisheye"] == counts["/drive/polar"] == 20  # every third of 60
     assert counts[f"/{ROBOT}"] == SAMPLES
     assert counts["/drive/large"] == len(choose_views(changed)[0])

@@ -9,7 +9,7 @@ import trimesh
 
 from deepgps.evaluation.segment_errors import measure_distances
 from deepgps.viewer.pictures import make_warp, warp_round
-from deepgps.viewer.scene import draw_floor_plan, find_outline, open_room
+from deepgps.viewer.scene import draw_ellipses, draw_floor_plan, find_outline, open_room
 from sim.errors import InputError
 from sim.recording.format import open_recording, open_truth
 from sim.sensors.camera.lens import make_lens, project_polar, project_round
@@ -107,3 +107,10 @@ def test_distances_are_those_counted_segment_by_segment(run: Path) -> None:
         np.testing.assert_allclose(true[rows], straight, atol=1e-12)
         np.testing.assert_allclose(difference[rows], total + distance - straight, atol=1e-12)
         total += distance[-1] - straight[-1]
+
+
+def test_an_ellipse_is_a_standard_deviation_away_from_its_middle() -> None:
+    root = np.array([[[0.03, 0.0], [0.02, 0.01]], [[0.5, 0.0], [0.0, 0.1]]])
+    covariance, middle = root @ root.transpose(0, 2, 1), np.array([[1.0, 2.0], [-3.0, 0.5]])
+    away = draw_ellipses(middle, covariance, 0.1)[..., :2] - middle[:, None]
+    np.testing.assert_allclose(np.einsum("nka,nab,nkb->nk", away, np.linalg.inv(covariance), away), 1.0)

@@ -7,7 +7,7 @@ import pytest
 
 from deepgps.viewer.run import RECORDING, find_recording
 from sim.recording.format import check_recording, finish_recording, open_recording, read_manifest
-from tests.deepgps.viewer.test_run import rows_by_entity
+from tests.helpers.blueprints import count_rows
 from tests.helpers.command import deepgps_here
 from tests.helpers.synthetic_run import write_synthetic_run
 
@@ -33,7 +33,7 @@ def test_the_drive_and_the_maps_are_viewed(tmp_path: Path):
         (run / name).unlink()
     forget_truth(run / "recording")
     assert find_recording(run) == run / RECORDING
-    counts = rows_by_entity(run / RECORDING)
+    counts = count_rows(run / RECORDING)
     readings = len(open_recording(run / "recording").reading)
     assert counts["/world/reckoned/leg"] == counts["/drive/distance/encoder"] == readings > counts["/drive/ticks/left"]
     assert counts["/drive/fisheye"] > 1
