@@ -28,7 +28,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_every_example_is_tried_and_short():
     examples = {path.name: path.read_text() for path in EXAMPLES.glob("*.py")}
     assert (
-        len(examples.pop("deepgps_from_scratch.py").splitlines()) <= 250
+        len(examples.pop("deepgps_from_scratch.py").splitlines()) <= 300
     )  # a method; tests/test_from_scratch.py runs it
     assert set(examples) == set(SAYS)
     assert {name: len(text.splitlines()) for name, text in examples.items() if len(text.splitlines()) > 40} == {}

@@ -1,4 +1,4 @@
-"""DeepGPS in one file: an image becomes a position, learned from images and driven distances alone.
+"""DeepGPS and registration in one file: an image becomes a position, learned from images and driven distances alone.
 
     python deepgps_from_scratch.py RUN/recording [map.svg]
 
@@ -10,12 +10,11 @@ It needs numpy, scipy and torch. What it reads of a recording of N images, R rea
     test/fisheye.npy          images of the test grid at H headings: (C, H, rings, sectors, 3) uint8
     truth/pose.npy, truth/test_pose.npy    x, y [m] and yaw: (N, 3), (C, H, 3), for the errors at the end alone
 
-Equations are the paper's; what is marked "ours" leads its loss to the right one of many minima.
+Equations are the paper's; what is marked "ours" leads its loss to the right one of many minima, or does without it.
 """
 
 import json
 import sys
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
@@ -25,6 +24,7 @@ import numpy as np
 import torch
 from scipy.linalg import eigh, solve
 from scipy.sparse import block_array, csr_array, diags_array, eye_array, hstack
+from scipy.spatial import KDTree
 from torch import nn
 from torch.nn.utils.rnn import pad_sequence
 
@@ -34,6 +34,8 @@ MODES, ROUNDS = (2, 3), 30  # of the initial map: numbers of slow modes to try, 
 STEPS, SEGMENTS, SAMPLES = 1000, 16, 8  # optimiser's steps; segments in a batch, readings drawn from each
 WIDTH, LAYERS, NOISE, RATE = 256, 4, 0.15, 2e-3  # of the network: neurons, layers, noise of its input, learning rate
 IMITATION, SLACK_M, STRAIGHT = 0.2, 0.03, 5.0  # share of imitation, free distance from the map, weight of straightness
+IMAGES, LENGTH_M, NUGGET = 12, 0.4, 0.02  # of kriging: images around, length of its covariance, variance of noise
+STARTS, DISTANCE_M, TRIES, STEP_M = 8, 0.4, 6, 0.15  # of a registration: starts, their distance, steps, longest one
 
 
 # 1. The recording: images, and the distances that the wheels measured along straight segments.
@@ -57,9 +59,9 @@ def describe(images: np.ndarray) -> np.ndarray:
     return np.concatenate([part.reshape(len(images), -1) for part in parts], axis=1).astype(np.float32)
 
 
-def fit_features(described: np.ndarray, segments: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Mean (K,) and basis (K, COMPONENTS) of slow features (Wiskott and Sejnowski 2002): among the principal
-    components, those that vary most over the drive and bend least from reading to reading."""
+def fit_features(described: np.ndarray, segments: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Mean (K,), basis (K, COMPONENTS) and noise (COMPONENTS,) of slow features (Wiskott and Sejnowski 2002): among the
+    principal components, those that vary most over the drive and bend least from reading to reading."""
     mean = described.mean(axis=0)
     basis = torch.svd_lowrank(torch.from_numpy(described - mean), min(PRINCIPAL, len(described)), niter=3)[2].numpy()
     x = (described - mean).astype(float) @ basis
@@ -67,7 +69,8 @@ def fit_features(described: np.ndarray, segments: list[np.ndarray]) -> tuple[np.
     noise = bend.T @ bend / len(bend)
     ratio, axes = eigh(x.T @ x / len(x), noise + 1e-6 * np.trace(noise) / len(noise) * np.eye(len(noise)))
     slow = (axes * np.maximum(ratio, 1e-12) ** 0.25)[:, ::-1][:, :COMPONENTS]
-    return mean, basis @ (slow / np.sqrt(np.mean((x @ slow) ** 2))).astype(np.float32)
+    slow = (slow / np.sqrt(np.mean((x @ slow) ** 2))).astype(np.float32)
+    return mean, basis @ slow, (bend @ slow).std(axis=0)
 
 
 # 3. The initial map (ours): segments are rigid bars, which loop closures hold together.
@@ -196,7 +199,46 @@ def straightness(p: torch.Tensor, c: torch.Tensor) -> torch.Tensor:
     return (p - c[:, :, None] * line).square().sum(dim=2).add(1e-12).sqrt().mean()
 
 
-# 5. The truth, for the errors alone: distances leave open how the map is shifted, turned and mirrored.
+# 5. Registration (ours), in place of the network: where on the map would the image be seen?
+def register(features: np.ndarray, known: np.ndarray, places: np.ndarray, noise: np.ndarray) -> np.ndarray:
+    """Positions (n, 2) [m] of images with features (n, COMPONENTS), on a map of images with features and positions
+    (N, ...): the best of those found from several starts, which lie apart. Noise of the features: (COMPONENTS,)."""
+    apart, rows = torch.cdist(*map(torch.from_numpy, (features, known))), np.arange(len(features))
+    near = apart.topk(16 * STARTS, largest=False).indices.numpy()
+    free, best, found = np.ones(near.shape, bool), np.full(len(near), np.inf), np.zeros((len(near), 2))
+    for _ in range(STARTS):
+        start = places[near[rows, free.argmax(axis=1)]]
+        free &= np.linalg.norm(places[near] - start[:, None], axis=2) > DISTANCE_M
+        place, misfit = refine(start, features / noise, known / noise, places)
+        better = misfit < best
+        best[better], found[better] = misfit[better], place[better]
+    return found
+
+
+def refine(place: np.ndarray, x: np.ndarray, known: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (n, 2) [m] near the given ones at which features x fit better, by Gauss-Newton, and the misfit (n,)."""
+    tree = KDTree(places)
+    for step in range(TRIES + 1):
+        around = tree.query(place, IMAGES)[1]
+        seen = np.swapaxes(known[around], 1, 2) @ krige(place, places[around])
+        differ, slope = x[:, :, None] - seen[:, :, :1], seen[:, :, 1:]
+        if step < TRIES:
+            move = np.linalg.solve(np.swapaxes(slope, 1, 2) @ slope, np.swapaxes(slope, 1, 2) @ differ)[:, :, 0]
+            place = place + move * np.minimum(1.0, STEP_M / np.linalg.norm(move, axis=1, keepdims=True))
+    return place, (differ**2).sum(axis=(1, 2))
+
+
+def krige(place: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Weights by which features at a place (n, 2) [m] follow from those at others (n, k, 2) around it, with the
+    derivatives of the weights by x and y (n, k, 3). The covariance is Matern's with smoothness 3/2."""
+    rate, away = np.sqrt(3.0) / LENGTH_M, places - place[:, None]
+    apart = rate * np.linalg.norm(places[:, :, None] - places[:, None], axis=3)
+    here = rate * np.linalg.norm(away, axis=2)[..., None]
+    known = np.concatenate([1.0 + here, rate**2 * away], axis=2) * np.exp(-here)
+    return np.linalg.solve((1.0 + apart) * np.exp(-apart) + NUGGET * np.eye(IMAGES), known)
+
+
+# 6. The truth, for the errors alone: distances leave open how the map is shifted, turned and mirrored.
 def align(source: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Rotation or reflection (2, 2) and shift (2,) from positions (N, 2) to others, robustly (Kabsch 1976)."""
     weight = np.ones(len(source))
@@ -212,7 +254,7 @@ def measure(folder: Path, locate: Callable[[np.ndarray], np.ndarray]) -> tuple[n
     """Test positions (C, 2) [m], and where the worst of their images is put (C, 2) once training images are aligned."""
     test, true = np.load(folder / "test" / "fisheye.npy"), np.load(folder / "truth" / "test_pose.npy")[:, :, :2]
     images, pose = np.load(folder / "observations" / "fisheye.npy"), np.load(folder / "truth" / "pose.npy")
-    rotation, shift = align(locate(images), pose[:, :2])
+    rotation, shift = align(locate(images[::4]), pose[::4, :2])
     found = (locate(test.reshape(-1, *test.shape[2:])) @ rotation.T + shift).reshape(true.shape)
     worst = np.linalg.norm(found - true, axis=2).argmax(axis=1)
     return true[:, 0], found[np.arange(len(found)), worst]
@@ -227,23 +269,29 @@ def draw(path: Path, true: np.ndarray, found: np.ndarray) -> None:
     path.write_text(f'{svg} stroke-width="3" stroke-linecap="round"><path d="{lines}"/></svg>\n')
 
 
-def learn(folder: Path) -> Callable[[np.ndarray], np.ndarray]:
-    """Learn from a recording; the function from images (n, rings, sectors, 3) to positions (n, 2) [m]."""
+def learn(folder: Path) -> dict[str, Callable[[np.ndarray], np.ndarray]]:
+    """Learn from a recording; functions from images (n, rings, sectors, 3) to positions (n, 2) [m]."""
     images, segments, along = read_recording(folder)
     torch.manual_seed(0)
     described = describe(images)
-    mean, basis = fit_features(described, segments)
+    mean, basis, noise = fit_features(described, segments)
     features = (described - mean) @ basis
     known = find_initial_map(features, segments, along)
     network = train(torch.from_numpy(features), torch.from_numpy(known), segments, along)
-    return lambda some: network(torch.from_numpy((describe(some) - mean) @ basis)).detach().numpy()
+    on = np.unique(np.concatenate(segments))
+    methods = {
+        "network": lambda x: network(torch.from_numpy(x)).detach().numpy(),
+        "nearest image": lambda x: known[on][torch.cdist(*map(torch.from_numpy, (x, features[on]))).argmin(dim=1)],
+        "registration": lambda x: register(x, features[on], known[on], noise),
+    }
+    return {name: lambda some, of=of: of((describe(some) - mean) @ basis) for name, of in methods.items()}
 
 
 if __name__ == "__main__":
-    began, folder, *picture = time.perf_counter(), *map(Path, sys.argv[1:])
+    folder, *picture = map(Path, sys.argv[1:])
     torch.set_num_threads(1)  # of which so small a network needs no more
-    true, found = measure(folder, learn(folder))
-    error = 100.0 * np.linalg.norm(found - true, axis=1)
+    for name, locate in learn(folder).items():
+        true, found = measure(folder, locate)
+        error = 100.0 * np.linalg.norm(found - true, axis=1)
+        print(f"{name}: RMS {np.sqrt(np.mean(error**2)):.1f} cm, median {np.median(error):.1f}, max {error.max():.0f}")
     draw(*picture or [Path("map.svg")], true, found)
-    rms, median, seconds = np.sqrt(np.mean(error**2)), np.median(error), time.perf_counter() - began
-    print(f"RMS {rms:.1f} cm, median {median:.1f} cm, maximum {error.max():.0f} cm, after {seconds:.0f} s")
