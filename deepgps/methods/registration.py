@@ -16,7 +16,7 @@ from deepgps.config.learning import LearnSettings
 from deepgps.data.features import Features
 from deepgps.data.segments import find_held_out, find_owners, find_runs, spread_evenly
 from deepgps.learning.training_data import TrainingData, prepare
-from deepgps.methods.compass import find_mount, map_by_compass
+from deepgps.methods.compass import choose_positions, find_mount, map_by_compass
 from deepgps.methods.deepgps import choose_start, make_initial_map
 from deepgps.positioner.appearance import AppearanceMap
 from deepgps.positioner.kriging import KERNELS, Kernel, choose_kernel, find_others, krige
@@ -47,7 +47,8 @@ def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, 
     """Learn on the map by compass."""
     start = time.perf_counter()
     data, found, record = map_by_compass(recording, settings, seed, folder, progress)
-    places = np.where(found.undecided[:, None], np.nan, found.places)
+    places, index = np.full(found.places.shape, np.nan), choose_positions(found)
+    places[index] = found.places[index]
     return finish(data, places, found.heading, start, progress, folder, found.std, find_mount(found)).note(record)
 
 
