@@ -28,19 +28,20 @@ class Poses:
     accepted: np.ndarray | None = None
     reason: np.ndarray | None = None  # Why each is refused (B,), a number in ``REASONS``; None: the method does not say
     covariance: np.ndarray | None = None  # Of the position, by the image alone (B, 2, 2) [m^2]; None: unknown
-    # Positions that explain the image as well or nearly, the best first (B, M, 2) [m], NaN where there is none; and the
-    # probability of each (B, M). None: unknown
+    # Positions of the camera that explain the image as well or nearly, the best first (B, M, 2) [m], NaN where there is
+    # none; the yaw there (B, M) [rad]; and the probability of each (B, M). None: unknown
     mode: np.ndarray | None = None
+    mode_yaw: np.ndarray | None = None
     mode_weight: np.ndarray | None = None
 
     def align(self, alignment: Alignment) -> "Poses":
         """The same poses in the frame that an alignment leads to."""
         yaw = None if self.yaw is None else alignment.turn(self.yaw)
         aligned = replace(self, position=alignment.apply(self.position), yaw=yaw)
-        if self.mode is None or self.covariance is None:
+        if self.mode is None or self.mode_yaw is None or self.covariance is None:
             return aligned
-        turned = alignment.rotation @ self.covariance @ alignment.rotation.T
-        return replace(aligned, mode=alignment.apply(self.mode), covariance=turned)
+        turned, yaw = alignment.rotation @ self.covariance @ alignment.rotation.T, alignment.turn(self.mode_yaw)
+        return replace(aligned, mode=alignment.apply(self.mode), mode_yaw=yaw, covariance=turned)
 
     def take(self, index: int | np.ndarray) -> "Poses":
         """One of the poses, without the axis B, or some."""
@@ -62,6 +63,7 @@ def find_poses(positioner: Positioner, observations: np.ndarray) -> Poses:
         reason=found.reason,
         covariance=found.covariance,
         mode=found.mode,
+        mode_yaw=found.mode_yaw,
         mode_weight=found.weight,
     )
     return poses if positioner.mirrored is None else replace(poses, yaw=found.yaw, yaw_std=found.yaw_std)

@@ -55,6 +55,7 @@ class Registered:
     covariance: np.ndarray  # Of the position (B, 2, 2) [m^2]
     yaw_std: np.ndarray  # (B,) [rad]
     mode: np.ndarray  # Positions that are as good or nearly, the best first (B, MODES, 2) [m]; NaN: there is none
+    mode_yaw: np.ndarray  # Yaw of the robot there (B, MODES) [rad]; NaN where pixels are not compared
     weight: np.ndarray  # Probability of each (B, MODES)
     unlike: np.ndarray  # Squared residual of features or of pixels, the smaller, over the largest that is usual (B,)
     reason: np.ndarray  # Number in ``REASONS`` (B,)
@@ -173,6 +174,7 @@ class Registration:
             covariance[rows, best],
             yaw_std[rows, best],
             np.where(np.isfinite(cost)[..., None], position[order], np.nan),
+            yaw[order],
             weight / weight.sum(axis=1, keepdims=True),
             unlike[rows, best],
             np.select(conditions, list(range(1, len(REASONS))), 0),

@@ -91,13 +91,10 @@ def see(state: State, fix: Fix | None) -> State:
     if fix is None or not fix.usable:
         return state
     trail = add_image(state.trail, fix)
-    fix = replace(
-        fix, position_std=fix.position_std * find_factor(trail) * (1.0 if fix.accepted else REFUSED_ERROR_FACTOR)
-    )
+    fix = _scale(fix, find_factor(trail) * (1.0 if fix.accepted else REFUSED_ERROR_FACTOR))
     moved, counts = state.moved_m / SHARED_ERROR_M, min(1.0, state.moved_m / EVIDENCE_DISTANCE_M)
     own_place, own_yaw = np.sqrt(np.clip([moved, moved + state.turned_rad / SHARED_ERROR_RAD], 1e-6, 1.0)).tolist()
-    weak = replace(fix, position_std=fix.position_std / own_place, yaw_std=fix.yaw_std / own_yaw)
-    updated = update(state.mean, state.covariance, weak)
+    updated = update(state.mean, state.covariance, _scale(fix, 1.0 / own_place, 1.0 / own_yaw))
     evidence = state.evidence + counts * np.minimum(updated.likelihood, MAX_EVIDENCE)
     if not fix.accepted:  # what was certain does not rise, and nothing becomes so
         certain = state.evidence > MAX_REFUSED_EVIDENCE
@@ -137,15 +134,22 @@ def limit(evidence: np.ndarray, unsure: np.ndarray) -> np.ndarray:
     return evidence - np.where(unsure, excess, 0.0)
 
 
+def _scale(fix: Fix, place: float, yaw: float = 1.0) -> Fix:
+    """An image with standard deviations so many times as large."""
+    others = tuple(_scale(one, place, yaw) for one in fix.others)
+    return replace(fix, position_std=place * fix.position_std, yaw_std=yaw * fix.yaw_std, others=others)
+
+
 def _add_new(state: State, fix: Fix) -> State:
-    """The state with hypotheses at the image's own pose, where none is near."""
-    yaw, std, weight = fix.yaw, fix.yaw_std, fix.yaw_weight
-    if not len(yaw):
-        yaw, std, weight = np.arange(FAN) * 2.0 * np.pi / FAN, np.full(FAN, np.pi / FAN), np.full(FAN, 1.0 / FAN)
-    one = np.ones(len(yaw))
-    mean = np.column_stack([np.outer(one, fix.position), wrap(yaw), 0.0 * one])
+    """The state with hypotheses at the image's own poses, where none is near."""
+    poses = [fix, *fix.others]
+    if not np.isfinite(fix.yaw):
+        turned = [replace(one, yaw=2.0 * np.pi * number / FAN) for one in poses for number in range(FAN)]
+        poses = [replace(one, yaw_std=np.pi / FAN, weight=one.weight / FAN) for one in turned]
+    mean = np.array([[*one.position, wrap(np.array(one.yaw)), 0.0] for one in poses])
     new = ~_find_near(mean, state.mean, MIN_START_GAP_M, MIN_START_GAP_RAD).any(axis=1)
-    spread = np.column_stack([one * fix.position_std, one * fix.position_std, std, one * SCALE_STD])
+    spread = np.array([[one.position_std, one.position_std, one.yaw_std, SCALE_STD] for one in poses])
+    weight = np.array([one.weight for one in poses])
     return replace(
         state,
         mean=np.concatenate([state.mean, mean[new]]),

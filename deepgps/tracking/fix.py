@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from deepgps.positioner.registration import REASONS
 from deepgps.tracking.motion import NO_MOTION, Motion, compose
 from sim.geometry import wrap
 
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 
 MIN_POSITION_STD_M = 0.002  # Least standard deviation of a position along each axis [m]
 USUAL_POSITION_STD_M = 0.02  # Standard deviation of the positions of methods that give none [m]
+MIN_WEIGHT = 0.01  # Probability of a pose from which it is used
 RADIUS_68_PER_STD = 1.5096
 """Radius of 68 % over the standard deviation along one axis, of a normal distribution in the plane."""
 
@@ -28,10 +30,11 @@ class Fix:
 
     position: np.ndarray  # Position (2,) [m]
     position_std: float  # Its standard deviation along each axis [m]; infinite: unknown, and the image is not used
-    yaw: np.ndarray  # Hypotheses of the yaw (H,) [rad]; none: the image tells no yaw
-    yaw_std: np.ndarray  # Their standard deviations (H,) [rad]
-    yaw_weight: np.ndarray  # Their probabilities (H,); what is missing to 1 is that none is right
+    yaw: float = np.nan  # Yaw [rad]; NaN: the image tells none
+    yaw_std: float = np.nan  # Its standard deviation [rad]; NaN like ``yaw``
+    weight: float = 1.0  # Probability that this is right, and not one of the others or none
     accepted: bool = True  # Whether it is like those of the drive that was learned from; others count little
+    others: tuple["Fix", ...] = ()  # Other poses from which it may have been taken
 
     @property
     def usable(self) -> bool:
@@ -43,11 +46,21 @@ def take_fix(pose: "Poses") -> Fix:
     """The fix of a single pose, as ``Poses.take`` gives it.
 
     The expected error of its position is that of its radius, where the method gives one. Without a radius, a refused
-    image is not used.
+    image is not used. Where an image is refused since places look alike, these are its poses, and the drive decides.
     """
-    yaw, yaw_std, weight = _take_yaws(pose)
+    yaw, yaw_std = (np.nan if one is None else float(one) for one in (pose.yaw, pose.yaw_std))
     accepted = pose.accepted is None or bool(pose.accepted)
-    return Fix(np.asarray(pose.position, float), _find_std(pose, accepted), yaw, yaw_std, weight, accepted)
+    first = Fix(np.asarray(pose.position, float), _find_std(pose, accepted), yaw, yaw_std, accepted=accepted)
+    if pose.reason is None or pose.mode is None or REASONS[int(pose.reason)] != "ambiguous":
+        return first
+    assert pose.mode_weight is not None and pose.mode_yaw is not None
+    shift = first.position - pose.mode[0]  # from the camera to the axle, nearly
+    modes = [
+        replace(first, position=place + shift, yaw=float(turned), weight=float(weight), accepted=True)
+        for place, turned, weight in zip(pose.mode, pose.mode_yaw, pose.mode_weight, strict=True)
+        if weight > MIN_WEIGHT
+    ]
+    return replace(modes[0], others=tuple(modes[1:]))
 
 
 def take_fixes(poses: "Poses") -> list[Fix]:
@@ -58,21 +71,13 @@ def take_fixes(poses: "Poses") -> list[Fix]:
 def _find_std(pose: "Poses", accepted: bool) -> float:
     if pose.radius_68 is not None:
         return max(float(pose.radius_68) / RADIUS_68_PER_STD, MIN_POSITION_STD_M)
-    if not accepted:
-        return np.inf
-    return USUAL_POSITION_STD_M
-
-
-def _take_yaws(pose: "Poses") -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    if pose.yaw is None or pose.yaw_std is None or not np.isfinite(pose.yaw):
-        return np.empty(0), np.empty(0), np.empty(0)
-    return np.array([pose.yaw], float), np.array([pose.yaw_std], float), np.ones(1)
+    return USUAL_POSITION_STD_M if accepted else np.inf
 
 
 DEGREES_OF_FREEDOM = 4.0  # Degrees of freedom of the errors of images
 ROUNDS = 4  # Rounds in which the variance of an image is enlarged
 OUTLIER_PROBABILITY = 0.1  # Probability that an image says nothing of the pose
-MIN_NO_YAW_PROBABILITY = 0.05  # Probability that no yaw of an image is right, at least
+NO_YAW_PROBABILITY = 0.05  # Probability that the yaw of an image is wrong
 LOST_AREA_M2 = 25.0  # Area over which a lost robot is spread: only its order of magnitude matters [m^2]
 
 
@@ -86,10 +91,12 @@ class Updated(NamedTuple):
 
 
 def update(mean: np.ndarray, covariance: np.ndarray, fix: Fix) -> Updated:
-    """Update hypotheses (K, 4) with covariances (K, 4, 4) by an image, each with the yaw that fits it best."""
-    without = max(1.0 - float(fix.yaw_weight.sum()), MIN_NO_YAW_PROBABILITY)
-    tried = [_update(mean, covariance, fix, None, without)]
-    tried += [_update(mean, covariance, fix, one, float(fix.yaw_weight[one])) for one in range(len(fix.yaw))]
+    """Update hypotheses (K, 4) with covariances (K, 4, 4) by an image, each with the pose that fits it best."""
+    poses = (fix, *fix.others)
+    tried = [_update(mean, covariance, one) for one in poses]
+    if np.isfinite(fix.yaw):
+        without = (replace(one, yaw=np.nan, weight=NO_YAW_PROBABILITY * one.weight) for one in poses)
+        tried += [_update(mean, covariance, one) for one in without]
     likelihood = np.stack([one.likelihood for one in tried])
     best, rows = likelihood.argmax(axis=0), np.arange(len(mean))
     right = likelihood.max(axis=0) + np.log(1.0 - OUTLIER_PROBABILITY)
@@ -100,19 +107,19 @@ def update(mean: np.ndarray, covariance: np.ndarray, fix: Fix) -> Updated:
     )
 
 
-def _update(mean: np.ndarray, covariance: np.ndarray, fix: Fix, number: int | None, weight: float) -> Updated:
-    """Update by the position, and by one of the yaws unless ``number`` is None, which has this probability."""
+def _update(mean: np.ndarray, covariance: np.ndarray, fix: Fix) -> Updated:
+    """Update by one pose of an image: by its position, and by its yaw if it is known."""
     missed, variance = fix.position - mean[:, :2], np.full(2, fix.position_std**2)
     spread_of_lost = LOST_AREA_M2 + 2.0 * np.pi * fix.position_std**2
-    if number is not None:
-        missed = np.column_stack([missed, wrap(fix.yaw[number] - mean[:, 2])])
-        variance, spread_of_lost = np.append(variance, fix.yaw_std[number] ** 2), 2.0 * np.pi * spread_of_lost
+    if np.isfinite(fix.yaw):
+        missed = np.column_stack([missed, wrap(fix.yaw - mean[:, 2])])
+        variance, spread_of_lost = np.append(variance, fix.yaw_std**2), 2.0 * np.pi * spread_of_lost
     size = len(variance)
     expected = covariance[:, :size, :size] + np.diag(variance)
     squared = np.einsum("ki,ki->k", missed, np.linalg.solve(expected, missed[..., None])[..., 0])
     density = -0.5 * np.linalg.slogdet(2.0 * np.pi * expected)[1]
     likelihood = density - 0.5 * (DEGREES_OF_FREEDOM + size) * np.log1p(squared / DEGREES_OF_FREEDOM)
-    return Updated(*_fit(mean, covariance, missed, variance), np.log(weight * spread_of_lost) + likelihood)
+    return Updated(*_fit(mean, covariance, missed, variance), np.log(fix.weight * spread_of_lost) + likelihood)
 
 
 def _fit(

@@ -100,7 +100,7 @@ def track_drive(positioner: Positioner, recording: Recording, progress: Report) 
     smoothed = smooth(causal, motions, fixes)
     progress("track", 4, 4)
     # the first image that is accepted and tells a yaw, or else the first one
-    number = next((number for number, one in enumerate(fixes) if one.accepted and len(one.yaw)), 0)
+    number = next((number for number, one in enumerate(fixes) if one.accepted and np.isfinite(one.yaw)), 0)
     first = number, _as_path([fixes[number]]).pose[0]
     paths = {
         "single": _as_path(fixes),
@@ -142,9 +142,8 @@ def _list_fixes(positioner: Positioner, recording: Recording, drive: Drive, pose
 
 
 def _as_path(fixes: Sequence[Fix]) -> TrackedPath:
-    yaw = [(one.yaw[0], one.yaw_std[0]) if len(one.yaw) else (np.nan, np.nan) for one in fixes]
-    pose = np.column_stack([np.array([one.position for one in fixes]), [one for one, _ in yaw]])
-    std = np.column_stack([[one.position_std for one in fixes], [one for _, one in yaw]])
+    pose = np.array([[*one.position, one.yaw] for one in fixes])
+    std = np.array([[one.position_std, one.yaw_std] for one in fixes])
     return TrackedPath(pose, std, np.array([one.accepted for one in fixes], bool))
 
 

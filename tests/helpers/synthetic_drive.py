@@ -56,6 +56,6 @@ def advance(pose: np.ndarray, motion: np.ndarray) -> np.ndarray:
     return np.array([pose[0] + cos * forward - sin * left, pose[1] + sin * forward + cos * left, pose[2] + turn])
 
 
-def see(pose: np.ndarray, weight: float = 0.95) -> Fix:
+def see(pose: np.ndarray) -> Fix:
     """An image that says that the robot is there (3,)."""
-    return Fix(pose[:2], PLACE_STD_M, wrap(pose[2:3]), np.array([YAW_STD_RAD]), np.array([weight]))
+    return Fix(pose[:2], PLACE_STD_M, float(wrap(pose[2])), YAW_STD_RAD)

@@ -14,8 +14,6 @@ from deepgps.tracking.motion import make_motion, mirror, rotate
 from sim.geometry import wrap
 from tests.helpers.synthetic_drive import Drive, carry, make_drive, see
 
-NO_YAW = np.empty(0)
-
 
 def track(drive: Drive) -> np.ndarray:
     """The filter's poses (M, 3)."""
@@ -104,9 +102,21 @@ def test_places_that_look_alike_are_told_apart_by_driving_on():
     assert error[40:].max() < 0.1
 
 
+def test_poses_that_one_image_may_be_of_are_told_apart_by_driving_on():
+    """Every image is of two places, 3 m apart, and says that the wrong one is likelier."""
+    drive = make_drive(np.random.default_rng(5))
+    both = [
+        replace(one, position=one.position + [3.0, 1.0], weight=0.6, others=(replace(one, weight=0.4),))
+        for one in drive.fixes
+    ]
+    turned = [replace(one, yaw=one.yaw + 0.7 * number) for number, one in enumerate(both)]
+    error = miss(track(replace(drive, fixes=turned)), drive.pose)
+    assert error[:2].min() > 2.0 and error[60:].max() < 0.1
+
+
 def test_images_without_yaw_are_enough():
     drive = make_drive(np.random.default_rng(7))
-    fixes = [replace(one, yaw=NO_YAW, yaw_std=NO_YAW, yaw_weight=NO_YAW) for one in drive.fixes]
+    fixes = [replace(one, yaw=np.nan, yaw_std=np.nan) for one in drive.fixes]
     found = track(replace(drive, fixes=fixes))
     assert np.abs(wrap(found[40:, 2] - drive.pose[40:, 2])).max() < np.radians(5.0)
     assert miss(found, drive.pose)[40:].max() < 0.06
@@ -178,7 +188,7 @@ def test_refused_images_alone_make_no_place_certain(good: int):
 def test_lens_that_is_covered_does_not_lead_the_track_away():
     """All images from the 80th on show one place, which may be anywhere within metres."""
     drive = make_drive(np.random.default_rng(14), images=160)
-    covered = Fix(np.array([3.0, 3.0]), 5.0, NO_YAW, NO_YAW, NO_YAW, accepted=False)
+    covered = Fix(np.array([3.0, 3.0]), 5.0, accepted=False)
     error = miss(track(replace(drive, fixes=[*drive.fixes[:80], *[covered] * 80])), drive.pose)
     assert error[80:].max() < 1.0, "the odometry errs by decimetres after 80 images"
 
@@ -201,6 +211,18 @@ def test_a_method_s_radius_is_the_error_of_a_fix():
     pose = Poses(np.zeros(2))
     assert take_fix(pose).position_std == pytest.approx(0.02)
     assert take_fix(replace(pose, radius_68=np.array(0.15096))).position_std == pytest.approx(0.1)
+    alike = replace(
+        pose,
+        yaw=np.array(0.1),
+        yaw_std=np.array(0.02),
+        accepted=np.array(False),
+        reason=np.array(2),
+        mode=np.array([[0.0, 0.0], [2.0, 0.0], [np.nan, np.nan]]),
+        mode_yaw=np.array([0.1, 1.0, np.nan]),
+        mode_weight=np.array([0.7, 0.3, 0.0]),
+    )
+    fix = take_fix(replace(alike, radius_68=np.array(0.01)))
+    assert fix.accepted and fix.weight == 0.7 and [one.yaw for one in fix.others] == [1.0]
     refused = replace(pose, accepted=np.array(False))
     assert not take_fix(refused).usable
     assert take_fix(replace(refused, radius_68=np.array(1.0))).usable

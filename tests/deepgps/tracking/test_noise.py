@@ -17,7 +17,6 @@ from deepgps.tracking.fix import (
 from deepgps.tracking.motion import make_motion
 
 STATED_M = 0.01
-NONE = np.empty(0)
 
 
 def drive(distance_m: float, spacing_m: float, times: float, turn_std: float = 0.0, seed: int = 0) -> Trail:
@@ -30,7 +29,7 @@ def drive(distance_m: float, spacing_m: float, times: float, turn_std: float = 0
         trail = extend(trail, make_motion(0.0, 0.0, turn, 0.0, turn_std if turn else 0.0), 1.0)
         trail = extend(trail, make_motion(spacing_m, step_std_m=1e-4), 1.0)
         seen = place + times * STATED_M * rng.standard_normal(2)
-        trail = add_image(trail, Fix(seen, STATED_M, NONE, NONE, NONE))
+        trail = add_image(trail, Fix(seen, STATED_M))
     return trail
 
 
@@ -55,7 +54,7 @@ def test_images_that_err_as_stated_keep_their_errors():
 def test_a_robot_that_stands_or_was_carried_compares_nothing():
     trail = drive(30.0, 0.08, 5.0)
     for _ in range(500):
-        trail = add_image(extend(trail, make_motion(0.0), 1.0), Fix(np.zeros(2), STATED_M, NONE, NONE, NONE))
+        trail = add_image(extend(trail, make_motion(0.0), 1.0), Fix(np.zeros(2), STATED_M))
     assert len(trail.images) <= MAX_COMPARISON_M / TRAIL_SPACING_M + 2
     carried = break_off(trail)
     assert not carried.images

@@ -33,7 +33,7 @@ def fit_all(drive: Drive) -> tuple[np.ndarray, np.ndarray]:
     count = len(drive.pose)
     kept = np.exp(-SPACING_M / SCALE_DISTANCE_M)
     turn = np.array([one.turn for one in drive.motions[1:] if one])
-    seen = np.array([[*one.position, *one.yaw] for one in drive.fixes])
+    seen = np.array([[*one.position, one.yaw] for one in drive.fixes])
 
     def find_residuals(flat: np.ndarray) -> np.ndarray:
         pose, scale = flat[: 3 * count].reshape(count, 3), flat[3 * count :]
