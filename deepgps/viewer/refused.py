@@ -121,9 +121,8 @@ def mark_pixels(images: np.ndarray, weight: np.ndarray) -> np.ndarray:
 def _describe(refused: Refused, number: int) -> str:
     (x, y, heading), found, place = refused.pose[number], refused.found, len(refused.pose) - number
     said = (
-        f"{title_of(refused.method)} refuses it: *{REASONS[found.reason[number]]}*; {place} on the timeline `refused`. "
-        f"Taken at {x:.2f}, {y:.2f} m, heading {round(np.degrees(heading)) % 360}°; the answer is off by "
-        f"{100 * refused.error[number]:.1f} cm. Its squared residual is {found.unlike[number]:.2f} times the "
-        "largest that is usual."
+        f"{title_of(refused.method)} refuses it: *{REASONS[found.reason[number]]}*. Taken at {x:.2f}, {y:.2f} m, "
+        f"heading {round(np.degrees(heading)) % 360}°; the answer is off by {100 * refused.error[number]:.1f} cm. Its "
+        f"squared residual is {found.unlike[number]:.2f} times the largest that is usual. Image {place} of `refused`."
     )
     return f"# {WORDS[found.reason[number]]}\n\n{said}\n\n{NOTE}"
