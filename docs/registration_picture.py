@@ -34,7 +34,7 @@ def draw(run: Path, target: Path) -> None:
     near = find_nearest(positioner.tree, pixels.position, 12)[1]
     seen = krige(pixels.position, positioner.places, near, positioner.kernel).predict(
         positioner.pixels.images.reshape(len(positioner.places), -1)
-    )[0]
+    )[:, 0]
     shape = positioner.pixels.images.shape[1:]
     turned = turn(grey(image), pixels.yaw - positioner.pixels.heading)[0][0]
     alignment = fit_robust_alignment(positioner.places, truth.pose[positioner.index, :2], "SE2")

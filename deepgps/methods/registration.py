@@ -22,7 +22,7 @@ from deepgps.positioner.appearance import AppearanceMap
 from deepgps.positioner.kriging import KERNELS, Kernel, choose_kernel, find_others, krige
 from deepgps.positioner.pixels import KnownPixels, grey, turn
 from deepgps.positioner.positioner import Fitted, RegistrationPositioner
-from deepgps.positioner.registration import ALL_ROUNDS, Calibration, Registration, fuse
+from deepgps.positioner.registration import Calibration, Registration, fuse
 from deepgps.terminal.progress import Report
 from sim.errors import InputError
 from sim.geometry import wrap
@@ -160,7 +160,7 @@ def whiten(
     features = data.features.numpy()[index]
     kernel = choose_kernel(places, features, sample, others)
     weights = krige(places[sample], places, others, kernel)
-    error = (features[sample] - weights.predict(features)[0]) / np.sqrt(weights.variance)[:, None]
+    error = (features[sample] - weights.predict(features)[:, 0]) / np.sqrt(weights.variance)[:, None]
     size = np.square(error).sum(axis=1)
     error = error[size <= np.quantile(size, TRUSTED_SHARE)].astype(float)
     noise = error.T @ error / len(error)
@@ -183,7 +183,7 @@ def learn_pixels(
             angle = chirality * (heading[part] - heading[0])
             turned[part] = np.rint(turn(images[part].astype(float), angle)[0]).clip(0, 255)  # rounds alike in any frame
         flat = turned.reshape(len(turned), -1)
-        error = np.abs(flat[left_out.sample] - weights.predict(flat)[0])
+        error = np.abs(flat[left_out.sample] - weights.predict(flat)[:, 0])
         noise = 1.4826 * np.median(error, axis=0).reshape(images.shape[1:])
         noise = np.sqrt(np.square(noise).mean(axis=1))
         noise = np.maximum(noise, MIN_NOISE * noise.mean() + 1e-3)
@@ -197,7 +197,7 @@ def choose_kernel_by_errors(known: Registration, left_out: LeftOut) -> Kernel:
     place = known.places[sample]
 
     def find_cost(kernel: Kernel) -> float:
-        match = replace(known, kernel=kernel).match(known.known[sample], place, ALL_ROUNDS, others)
+        match = replace(known, kernel=kernel).match(known.known[sample], place, index=others)
         return float(np.log(np.square(match.position - place).sum(axis=1) + ROUNDING_M**2).mean())
 
     return min(KERNELS, key=find_cost)
@@ -207,7 +207,7 @@ def calibrate(known: Registration, images: np.ndarray, heading: np.ndarray, left
     """What registrations of the observations left out (n, ...), with headings (n,) [rad], tell of the errors."""
     sample, others = left_out
     place = known.places[sample]
-    match = known.match(known.known[sample], place, ALL_ROUNDS, others)
+    match = known.match(known.known[sample], place, index=others)
     unlike = match.residual / match.variance
     low, usual = np.quantile(unlike, [0.1, 0.5])
     components = 2.0 / (np.log(usual / low) / 1.2816) ** 2  # as of a chi-squared variable

@@ -7,7 +7,7 @@ that depend on positions alone.
 
 from dataclasses import dataclass
 from itertools import product
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -30,37 +30,64 @@ class Weights:
     """Weights by which n observations are predicted from those at k places each."""
 
     index: np.ndarray  # The places (n, k)
-    weight: np.ndarray  # Weight of each (n, k) float32; they add up to 1
-    gradient: np.ndarray  # Its derivative by x and y of the position (n, 2, k) float32 [1 / m]
+    both: np.ndarray  # Weight of each, which add up to 1, and its derivatives by x and y (n, 3, k) [1, 1 / m]
     variance: np.ndarray  # Variance of the prediction's error over that of far places (n,), with the nugget
 
-    def predict(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Predictions (n, K) of values (N, K) of the places, and their derivatives (n, 2, K) [1 / m]."""
-        near = values[self.index].astype(np.float32, copy=False)
-        both = np.concatenate([self.weight[:, None], self.gradient], axis=1) @ near
-        return both[:, 0], both[:, 1:]
+    def predict(self, values: np.ndarray) -> np.ndarray:
+        """Predictions of values (N, K) of the places, and their derivatives (n, 3, K) float32 [1, 1 / m]."""
+        return self.both.astype(np.float32) @ values.take(self.index, axis=0).astype(np.float32, copy=False)
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """The k places around each of n positions, which may then move a little."""
+
+    index: np.ndarray  # Their numbers (n, k)
+    places: np.ndarray  # (n, 2, k) [m]
+    inverse: np.ndarray  # Inverse of ``[C 1; 1' 0]`` with the covariance C of the places (n, k + 1, k + 1)
+    kernel: Kernel
+
+    @classmethod
+    def find(cls, places: np.ndarray, index: np.ndarray, kernel: Kernel) -> Self:
+        """Those of the places (N, 2) [m] with numbers ``index`` (n, k)."""
+        (count, size), around = index.shape, np.stack([places[:, axis].take(index) for axis in (0, 1)], axis=1)
+        x, y = np.moveaxis(around[..., None] - around[:, :, None], 1, 0)
+        apart = np.sqrt(3.0) / kernel.length_m * np.sqrt(x * x + y * y)
+        matrix = np.ones((count, size + 1, size + 1))
+        matrix[:, :size, :size] = (1.0 + apart) * np.exp(-apart)
+        matrix[:, range(size), range(size)] += kernel.nugget
+        matrix[:, size, size] = 0.0
+        return cls(index, around, np.linalg.inv(matrix), kernel)
+
+    def krige(self, position: np.ndarray) -> Weights:
+        """Weights at positions (n, 2) [m].
+
+        They solve ``[C 1; 1' 0] [w; m] = [c; 1]``: c is the covariance of the places with the position.
+        """
+        rate, size = np.sqrt(3.0) / self.kernel.length_m, self.index.shape[1]
+        away = rate * (self.places - position[:, :, None])
+        apart = np.hypot(away[:, 0], away[:, 1])
+        fall = np.exp(-apart)
+        known = np.zeros((len(away), 3, size + 1))
+        known[:, 0, :size], known[:, 0, size] = (1.0 + apart) * fall, 1.0
+        known[:, 1:, :size] = (rate * fall)[:, None] * away
+        solved = known @ self.inverse
+        variance = 1.0 + self.kernel.nugget - np.einsum("nk,nk->n", solved[:, 0], known[:, 0])
+        return Weights(self.index, solved[:, :, :size], variance)
 
 
 def krige(position: np.ndarray, places: np.ndarray, index: np.ndarray, kernel: Kernel) -> Weights:
-    """Weights at positions (n, 2) of the places (N, 2) [m] with numbers ``index`` (n, k).
+    """Weights at positions (n, 2) of the places (N, 2) [m] with numbers ``index`` (n, k)."""
+    return Surroundings.find(places, index, kernel).krige(position)
 
-    They solve ``[C 1; 1' 0] [w; m] = [c; 1]``: C is the covariance of the places, c that with the position.
+
+def compare(values: np.ndarray, own: np.ndarray, index: np.ndarray) -> np.ndarray:
+    """Products (n, k, k) of the differences between values (N, K) with numbers ``index`` (n, k) and own ones (n, K).
+
+    Weights add up to 1, so that these give all products of errors and derivatives.
     """
-    rate, (count, size) = np.sqrt(3.0) / kernel.length_m, index.shape
-    away = places[index] - position[:, None]
-    apart = rate * np.sqrt(((away[:, :, None] - away[:, None]) ** 2).sum(axis=3))
-    matrix = np.ones((count, size + 1, size + 1))
-    matrix[:, :size, :size] = (1.0 + apart) * np.exp(-apart) + kernel.nugget * np.eye(size)
-    matrix[:, size, size] = 0.0
-    distance = rate * np.sqrt((away**2).sum(axis=2))
-    fall = np.exp(-distance)
-    known = np.zeros((count, size + 1, 3))
-    known[:, :size, 0], known[:, size, 0] = (1.0 + distance) * fall, 1.0
-    known[:, :size, 1:] = rate**2 * fall[..., None] * away
-    solved = np.linalg.solve(matrix, known)
-    variance = 1.0 + kernel.nugget - (solved[..., 0] * known[..., 0]).sum(axis=1)
-    found = np.swapaxes(solved[:, :size], 1, 2).astype(np.float32)
-    return Weights(index, found[:, 0], found[:, 1:], variance)
+    away = values.take(index, axis=0) - own[:, None]
+    return (away @ np.swapaxes(away, 1, 2)).astype(float)
 
 
 def find_nearest(tree: KDTree, places: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -68,6 +95,11 @@ def find_nearest(tree: KDTree, places: np.ndarray, count: int) -> tuple[np.ndarr
     count = min(count, tree.n)
     distance, index = tree.query(places, count)
     return np.reshape(distance, (-1, count)), np.reshape(index, (-1, count))
+
+
+def limit(move: np.ndarray, length: float) -> np.ndarray:
+    """Moves (n, 2) [m], none of which is longer than this."""
+    return move * np.minimum(1.0, length / np.maximum(np.hypot(move[:, :1], move[:, 1:]), 1e-12))
 
 
 def find_others(
@@ -101,10 +133,12 @@ def choose_kernel(places: np.ndarray, values: np.ndarray, rows: np.ndarray, othe
     They are predicted from ``others`` (n, k). The likelihood is that of a normal distribution whose scale is the
     median of the squared errors over their variances, and not their mean, which a few wrong places would decide.
     """
+    products = compare(values, values[rows], others)
 
     def find_cost(kernel: Kernel) -> float:
         weights = krige(places[rows], places, others, kernel)
-        error = ((values[rows] - weights.predict(values)[0]) ** 2).sum(axis=1) / weights.variance
+        weight = weights.both[:, 0]
+        error = np.einsum("nk,nkl,nl->n", weight, products, weight) / weights.variance
         scale = np.median(error)
         return float((np.log(weights.variance * scale) + error / scale).mean())
 

@@ -12,7 +12,7 @@ import numpy as np
 from scipy import fft
 from scipy.spatial import KDTree
 
-from deepgps.positioner.kriging import NEIGHBOURS, Kernel, find_nearest, krige
+from deepgps.positioner.kriging import NEIGHBOURS, Kernel, Surroundings, find_nearest, limit
 
 ROUNDS, OUTLIER = 2, 1.5  # Rounds of Gauss-Newton; residual that counts half, in standard deviations
 STEP_M, STEP_RAD = 0.15, 0.1  # Largest step of a round [m], [rad]
@@ -53,34 +53,35 @@ class KnownPixels:
         numbers ``index`` (n, k).
         """
         count, _, sectors = images.shape
-        known = self.images.reshape(len(self.images), -1)
+        index = find_nearest(tree, start, NEIGHBOURS)[1] if index is None else index
+        around = Surroundings.find(tree.data, index, kernel)
+        near = self.images.reshape(len(self.images), -1).take(index, axis=0).astype(np.float32)
         sharp = np.repeat(1.0 / self.noise, sectors).astype(np.float32)
-        position, light = start.copy(), np.tile([1.0, 0.0], (count, 1))
-        yaw = None
+        gain, offset = np.ones((count, 1), np.float32), np.zeros((count, 1), np.float32)
+        position, yaw = start.copy(), None
         for step in range(ROUNDS + 1):
-            around = find_nearest(tree, position, NEIGHBOURS)[1] if index is None else index
-            weights = krige(position, tree.data, around, kernel)
-            seen, slope = weights.predict(known)
+            weights = around.krige(position)
+            seen = weights.both.astype(np.float32) @ near
             if yaw is None:
-                yaw = find_yaw(images, seen.reshape(images.shape))
+                yaw = find_yaw(images, seen[:, 0].reshape(images.shape))
             turned, change = (part.reshape(count, -1) for part in turn(images, yaw))
-            residual = (turned - light[:, :1] * seen - light[:, 1:]) * sharp
-            spread = np.maximum(np.median(np.abs(residual), axis=1), 1e-6)
-            weight = 1.0 / (1.0 + (residual / (1.4826 * OUTLIER * spread[:, None])) ** 2)
-            parts = [light[:, :1] * slope[:, 0], light[:, :1] * slope[:, 1], -change, seen, np.ones_like(seen)]
-            rows = np.stack(parts, axis=1) * sharp
-            weighted = rows * weight[:, None]
-            normal = weighted @ np.swapaxes(rows, 1, 2)
-            size = np.einsum("ncc->nc", normal)
-            normal += (DAMPING * size + 1e-12)[:, :, None] * np.eye(5)
+            parts = [gain * seen[:, 1], gain * seen[:, 2], -change, seen[:, 0], np.ones_like(change)]
+            rows = np.stack([*parts, turned - gain * seen[:, 0] - offset], axis=1) * sharp  # derivatives, then residual
+            size = np.abs(rows[:, 5])
+            middle = size.shape[1] // 2
+            spread = np.maximum(np.partition(size, middle, axis=1)[:, middle], 1e-6)
+            weight = 1.0 / (1.0 + (size / (1.4826 * OUTLIER * spread[:, None])) ** 2)
+            product = (rows * weight[:, None]) @ np.swapaxes(rows, 1, 2)
+            normal = product[:, :5, :5].astype(float)
+            diagonal = np.einsum("ncc->nc", normal)
+            diagonal += DAMPING * diagonal + 1e-12
             if step == ROUNDS:
                 break
-            move = np.linalg.solve(normal, (weighted @ residual[..., None]))[..., 0]
-            length = np.linalg.norm(move[:, :2], axis=1, keepdims=True)
-            position = position + move[:, :2] * np.minimum(1.0, STEP_M / np.maximum(length, 1e-12))
+            move = np.linalg.solve(normal, product[:, :5, 5:])[..., 0]
+            position += limit(move[:, :2], STEP_M)
             yaw = yaw + move[:, 2].clip(-STEP_RAD, STEP_RAD)
-            light = light + move[:, 3:]
-            light[:, 0] = light[:, 0].clip(*GAINS)
+            gain = (gain + move[:, 3:4].astype(np.float32)).clip(*GAINS)
+            offset = offset + move[:, 4:].astype(np.float32)
         covariance = spread[:, None, None] ** 2 * np.linalg.inv(normal)[:, :3, :3]
         return PixelMatch(
             position,
@@ -89,7 +90,7 @@ class KnownPixels:
             weight.reshape(images.shape),
             spread,
             weights.variance,
-            light[:, 0] + light[:, 1] / np.maximum(seen.mean(axis=1), 1.0),
+            gain[:, 0] + offset[:, 0] / np.maximum(seen[:, 0].mean(axis=1), 1.0),
             (weight < ODD_WEIGHT).mean(axis=1),
         )
 
@@ -117,7 +118,7 @@ def find_yaw(images: np.ndarray, known: np.ndarray) -> np.ndarray:
     """Angles (n,) [rad] by which images (n, R, S) must be turned to match known ones, by circular correlation."""
     one, other = (np.asarray(fft.rfft(part, axis=2)) for part in (images, known))
     rings = np.sqrt(np.arange(images.shape[1]) + 0.5).astype(np.float32)
-    cross = np.einsum("nrk,nrk,r->nk", other, one.conj(), rings)
+    cross = (rings[:, None] * other * one.conj()).sum(axis=1)
     cross[:, 0] = 0.0
     curve = np.asarray(fft.irfft(cross, CORRELATION_SAMPLES, axis=1))
     best, rows = curve.argmax(axis=1), np.arange(len(curve))

@@ -15,12 +15,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial import KDTree
 
-from deepgps.positioner.kriging import NEIGHBOURS, Kernel, find_nearest, krige
+from deepgps.positioner.kriging import NEIGHBOURS, Kernel, Surroundings, compare, find_nearest, limit
 from deepgps.positioner.pixels import KnownPixels
 
 CANDIDATES, STARTS, START_DISTANCE_M = 128, 8, 0.4  # Images most alike, starts among these, distance of two [m]
-COARSE_ROUNDS, FINE_ROUNDS, STEP_M = 4, 2, 0.15  # Rounds from each start, and from each mode; largest step [m]
-ALL_ROUNDS = COARSE_ROUNDS + FINE_ROUNDS
+ROUNDS, SHARED_ROUNDS, STEP_M = 6, 2, 0.15  # Rounds from each start, with the same places, largest step of one [m]
 MODES, MODE_DISTANCE_M = 5, 0.5  # Modes that are kept, and the distance between two [m]
 PIXEL_MARGIN, CLEAR_MARGIN = 1.4, 1.0
 """Modes whose cost exceeds the best by less than this are compared by pixels, too; if by less than this, none is sure.
@@ -112,24 +111,24 @@ class Registration:
         return np.hypot(size[:, None] * self.calibration.radius, of_map)
 
     def match(
-        self, features: np.ndarray, start: np.ndarray, rounds: int = FINE_ROUNDS, index: np.ndarray | None = None
+        self, features: np.ndarray, start: np.ndarray, rounds: int = ROUNDS, index: np.ndarray | None = None
     ) -> Match:
         """Register features (n, K) from positions (n, 2) [m].
 
         They are predicted from the nearest training images, or from those with numbers ``index`` (n, k).
         """
-        position = start.copy()
+        position, least = start.copy(), 1e-9 * np.eye(2)
         for step in range(rounds + 1):
-            around = self._find_nearest(position) if index is None else index
-            weights = krige(position, self.places, around, self.kernel)
-            seen, slope = weights.predict(self.known)
-            residual, rows = features - seen, slope.astype(float)
-            inverse = np.linalg.inv(rows @ np.swapaxes(rows, 1, 2) + 1e-9 * np.eye(2))
+            if step == 0 or (index is None and step % SHARED_ROUNDS == 0 and step < rounds):
+                near = self._find_nearest(position) if index is None else index
+                around = Surroundings.find(self.places, near, self.kernel)
+                products = compare(self.known, features, near)
+            weights = around.krige(position)
+            product = weights.both @ products @ np.swapaxes(weights.both, 1, 2)  # of minus the residual and derivatives
+            inverse = np.linalg.inv(product[:, 1:, 1:] + least)
             if step < rounds:
-                move = (inverse @ (rows @ residual[..., None].astype(float)))[..., 0]
-                length = np.linalg.norm(move, axis=1, keepdims=True)
-                position = position + move * np.minimum(1.0, STEP_M / np.maximum(length, 1e-12))
-        squared = np.einsum("nk,nk->n", residual, residual).astype(float)
+                position -= limit((inverse @ product[:, 1:, :1])[..., 0], STEP_M)
+        squared = product[:, 0, 0]
         return Match(position, squared, weights.variance, squared[:, None, None] * inverse)
 
     def find_starts(self, features: np.ndarray) -> np.ndarray:
@@ -187,23 +186,15 @@ class Registration:
     def _find_modes(self, features: np.ndarray) -> Match:
         """The best positions of features (B, K), as parts (B, MODES, ...); an infinite residual where there is none."""
         start = self.places[self.find_starts(features)]
-        count, starts = start.shape[:2]
-        rough = self.match(np.repeat(features, starts, axis=0), start.reshape(-1, 2), COARSE_ROUNDS)
-        order = np.argsort(rough.residual.reshape(count, starts), axis=1, kind="stable")
-        placed = np.take_along_axis(rough.position.reshape(count, starts, 2), order[..., None], axis=1)
-        chosen = thin(placed, MODES, MODE_DISTANCE_M)
+        shape = start.shape[:2]
+        found = self.match(np.repeat(features, shape[1], axis=0), start.reshape(-1, 2))
+        order = np.argsort(found.residual.reshape(shape), axis=1, kind="stable")
+        rows = np.arange(shape[0])[:, None]
+        modes = Match(*(part.reshape(*shape, *part.shape[1:])[rows, order] for part in found))
+        chosen = thin(modes.position, MODES, MODE_DISTANCE_M)
         again = np.diff(chosen, axis=1, prepend=-1) <= 0  # ``thin`` repeats the first where there are no more
-        start = np.take_along_axis(placed, chosen[..., None], axis=1)
-        fine = self.match(np.repeat(features, chosen.shape[1], axis=0), start.reshape(-1, 2))
-        shape = chosen.shape
-        modes = Match(*(part.reshape(*shape, *part.shape[1:]) for part in fine))
+        modes = modes.take((rows, chosen))
         modes.residual[again], modes.position[again] = np.inf, np.nan
-        order = np.argsort(modes.residual, axis=1, kind="stable")
-        modes = modes.take((np.arange(count)[:, None], order))
-        for number in range(1, shape[1]):  # one that has come to a better one
-            away = np.linalg.norm(modes.position[:, :number] - modes.position[:, number, None], axis=2)
-            same = (away < MODE_DISTANCE_M).any(axis=1)
-            modes.residual[same, number], modes.position[same, number] = np.inf, np.nan
         return modes
 
     def _find_nearest(self, position: np.ndarray) -> np.ndarray:
@@ -228,8 +219,8 @@ def thin(places: np.ndarray, count: int, apart_m: float) -> np.ndarray:
     chosen = np.zeros((len(places), min(count, places.shape[1])), int)
     for number in range(chosen.shape[1]):
         chosen[:, number] = free.argmax(axis=1)
-        away = np.linalg.norm(places - places[rows, chosen[:, number]][:, None], axis=2)
-        free &= away > apart_m
+        away = places - places[rows, chosen[:, number]][:, None]
+        free &= np.hypot(away[..., 0], away[..., 1]) > apart_m
     return chosen
 
 

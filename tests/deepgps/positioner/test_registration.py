@@ -72,21 +72,21 @@ def draw(seed: int, count: int = 40) -> tuple[np.ndarray, np.ndarray, np.ndarray
 def test_weights_add_up_to_one_and_follow_a_rigid_motion() -> None:
     position, places, index = draw(0)
     one = krige(position, places, index, Kernel(0.3, 0.02))
-    np.testing.assert_allclose(one.weight.sum(axis=1), 1.0, atol=1e-6)
-    np.testing.assert_allclose(one.gradient.sum(axis=2), 0.0, atol=1e-4)
+    np.testing.assert_allclose(one.both[:, 0].sum(axis=1), 1.0, atol=1e-6)
+    np.testing.assert_allclose(one.both[:, 1:].sum(axis=2), 0.0, atol=1e-4)
     turned = Alignment(np.array([[0.6, -0.8], [0.8, 0.6]]), np.array([3.0, -1.0]), 1.0)
     other = krige(turned.apply(position), turned.apply(places), index, Kernel(0.3, 0.02))
-    np.testing.assert_allclose(other.weight, one.weight, atol=1e-6)
+    np.testing.assert_allclose(other.both[:, 0], one.both[:, 0], atol=1e-6)
     np.testing.assert_allclose(other.variance, one.variance, atol=1e-9)
 
 
 def test_gradient_agrees_with_finite_differences() -> None:
     position, places, index = draw(1)
     kernel, step = Kernel(0.3, 0.02), 1e-4
-    found = krige(position, places, index, kernel).gradient
+    found = krige(position, places, index, kernel).both[:, 1:]
     for axis in range(2):
         move = step * np.eye(2)[axis]
-        ahead, behind = (krige(position + sign * move, places, index, kernel).weight for sign in (1, -1))
+        ahead, behind = (krige(position + sign * move, places, index, kernel).both[:, 0] for sign in (1, -1))
         difference = (ahead.astype(float) - behind) / (2.0 * step)
         np.testing.assert_allclose(found[:, axis], difference, atol=2e-2 * np.abs(difference).max())
 
@@ -95,7 +95,7 @@ def test_without_noise_a_place_predicts_itself_for_certain() -> None:
     _, places, _ = draw(2)
     index = np.arange(12)[None].repeat(3, axis=0)
     found = krige(places[:3], places, index, Kernel(0.3, 1e-9))
-    np.testing.assert_allclose(found.weight, np.eye(3, 12), atol=1e-4)
+    np.testing.assert_allclose(found.both[:, 0], np.eye(3, 12), atol=1e-4)
     np.testing.assert_allclose(found.variance, 0.0, atol=1e-6)
 
 
