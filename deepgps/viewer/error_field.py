@@ -38,8 +38,8 @@ GOOD_COLOUR, WRONG_COLOUR = (235, 235, 235), (255, 60, 220)
 """Colours of yaws that are off by at most ``LARGE_YAW_ERROR_DEG``, and of others; the error field's colours mean
 positions."""
 SIGMA, SIGMA_TICKS_M = "radius_by_place", (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
-ELLIPSES, ELLIPSE_SCALE, ELLIPSE_SPACING_M, MAX_ELLIPSES = "ellipses_5_times", 5, 0.15, 1_000
-"""Layer, how many times larger they are drawn, distance between two [m], and how many there are at most."""
+ELLIPSES, ELLIPSE_SCALE, ELLIPSE_SPACING_M, MAX_ELLIPSES, MAX_RADIUS_M = "ellipses_5_times", 5, 0.15, 1_000, 0.1
+"""Layer, how many times larger they are drawn, distance between two [m], most of them, and the largest radius [m]."""
 COVERAGE, DENSITY = "world/not_covered", "world/images_per_cell"
 CELL_M = 0.25
 UNSEEN_COLOUR = (232, 37, 79)
@@ -126,6 +126,7 @@ def _draw_layers(field: ErrorField) -> Iterator[Layer]:
         yield SIGMA, "radius", _tile_places(field.truth, colours), words
     if field.covariance is not None and field.radius_95 is not None:
         some = np.unique(registration.thin(worst.predicted[None], MAX_ELLIPSES, ELLIPSE_SPACING_M))
+        some = some[field.radius_95[tuple(np.asarray(worst.row)[some].T)] <= MAX_RADIUS_M]  # larger ones hide all else
         rows = tuple(np.asarray(worst.row)[some].T)
         # The shape is that of the covariance; the size is that of the radius, which is measured on images left out.
         shape, radius = field.covariance[rows].astype(float), field.radius_95[rows]

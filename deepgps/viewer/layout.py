@@ -262,7 +262,7 @@ def _picture_rows(
 def _trust(space: FreeSpace, method: str, refused: bool, pictures: bool) -> Part:
     """The radius that a method expects at each place, and images that it refuses: modes, and where they differ."""
     name, eye = "Trust", aim_eye(space, reach=1.15, before=0.1)
-    title = f"{title_of(method)}: radius of 68 % by place; ellipses of 95 %, {ELLIPSE_SCALE} times as large"
+    title = f"{title_of(method)}: radius of 68 %; ellipses of 95 % up to 10 cm, {ELLIPSE_SCALE} times as large"
     layers = [f"error_field/{method}/{layer}" for layer in (SIGMA, ELLIPSES)]
     sigma = room_view(title, ["floor_plan", "outline", "radius_scale/**", *layers], eye)
     if not refused:
