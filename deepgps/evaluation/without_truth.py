@@ -157,8 +157,7 @@ def judge_turns(positioner: Positioner, drive: Recording) -> dict[str, Any]:
     known = np.isfinite(turned) & np.isfinite(angle)
     if not known.any():
         return {}
-    headings = positioner.headings
-    sign = 1 if headings is None else headings.chirality  # a map may be mirrored
+    sign = -1.0 if positioner.mirrored else 1.0
     differ = np.sqrt(np.mean(wrap(sign * turned[known] - angle[known]) ** 2))
     # Turns in place compared; RMS difference of yaws after and before from the compass [deg]
     return {"turns": int(known.sum()), "turn_rms_deg": float(np.degrees(differ))}
