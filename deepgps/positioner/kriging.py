@@ -43,19 +43,18 @@ class Surroundings:
     """The k places around each of n positions, which may then move a little."""
 
     index: np.ndarray  # Their numbers (n, k)
-    places: np.ndarray  # (n, 2, k) [m]
+    places: np.ndarray  # (2, n, k) [m]
     inverse: np.ndarray  # Inverse of ``[C 1; 1' 0]`` with the covariance C of the places (n, k + 1, k + 1)
     kernel: Kernel
 
     @classmethod
     def find(cls, places: np.ndarray, index: np.ndarray, kernel: Kernel) -> Self:
         """Those of the places (N, 2) [m] with numbers ``index`` (n, k)."""
-        (count, size), around = index.shape, np.stack([places[:, axis].take(index) for axis in (0, 1)], axis=1)
-        x, y = np.moveaxis(around[..., None] - around[:, :, None], 1, 0)
+        (count, size), around = index.shape, places.T.take(index, axis=1)
+        x, y = around[..., None] - around[:, :, None]
         apart = np.sqrt(3.0) / kernel.length_m * np.sqrt(x * x + y * y)
         matrix = np.ones((count, size + 1, size + 1))
-        matrix[:, :size, :size] = (1.0 + apart) * np.exp(-apart)
-        matrix[:, range(size), range(size)] += kernel.nugget
+        matrix[:, :size, :size] = (1.0 + apart) * np.exp(-apart) + kernel.nugget * np.eye(size)
         matrix[:, size, size] = 0.0
         return cls(index, around, np.linalg.inv(matrix), kernel)
 
@@ -65,12 +64,12 @@ class Surroundings:
         They solve ``[C 1; 1' 0] [w; m] = [c; 1]``: c is the covariance of the places with the position.
         """
         rate, size = np.sqrt(3.0) / self.kernel.length_m, self.index.shape[1]
-        away = rate * (self.places - position[:, :, None])
-        apart = np.hypot(away[:, 0], away[:, 1])
+        away = rate * (self.places - position.T[:, :, None])
+        apart = np.hypot(*away)
         fall = np.exp(-apart)
-        known = np.zeros((len(away), 3, size + 1))
+        known = np.zeros((len(position), 3, size + 1))
         known[:, 0, :size], known[:, 0, size] = (1.0 + apart) * fall, 1.0
-        known[:, 1:, :size] = (rate * fall)[:, None] * away
+        known[:, 1:, :size] = np.swapaxes(rate * fall * away, 0, 1)
         solved = known @ self.inverse
         variance = 1.0 + self.kernel.nugget - np.einsum("nk,nk->n", solved[:, 0], known[:, 0])
         return Weights(self.index, solved[:, :, :size], variance)
@@ -99,7 +98,7 @@ def find_nearest(tree: KDTree, places: np.ndarray, count: int) -> tuple[np.ndarr
 
 def limit(move: np.ndarray, length: float) -> np.ndarray:
     """Moves (n, 2) [m], none of which is longer than this."""
-    return move * np.minimum(1.0, length / np.maximum(np.hypot(move[:, :1], move[:, 1:]), 1e-12))
+    return move / np.maximum(1.0, np.hypot(move[:, :1], move[:, 1:]) / length)
 
 
 def find_others(

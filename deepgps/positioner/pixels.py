@@ -65,8 +65,10 @@ class KnownPixels:
             if yaw is None:
                 yaw = find_yaw(images, seen[:, 0].reshape(images.shape))
             turned, change = (part.reshape(count, -1) for part in turn(images, yaw))
-            parts = [gain * seen[:, 1], gain * seen[:, 2], -change, seen[:, 0], np.ones_like(change)]
-            rows = np.stack([*parts, turned - gain * seen[:, 0] - offset], axis=1) * sharp  # derivatives, then residual
+            rows = np.ones((count, 6, len(sharp)), np.float32)  # derivatives, then the residual
+            rows[:, :2], rows[:, 2], rows[:, 3] = gain[:, None] * seen[:, 1:], -change, seen[:, 0]
+            rows[:, 5] = turned - gain * seen[:, 0] - offset
+            rows *= sharp
             size = np.abs(rows[:, 5])
             middle = size.shape[1] // 2
             spread = np.maximum(np.partition(size, middle, axis=1)[:, middle], 1e-6)
@@ -97,11 +99,12 @@ class KnownPixels:
 
 def grey(images: np.ndarray) -> np.ndarray:
     """Polar images (N, rings, sectors, colours) without colours, large ones halved (N, R, S) float32."""
-    count, rings, sectors, _ = images.shape
-    if rings * sectors <= MAX_PIXELS:
-        return images.mean(axis=3, dtype=np.float32)
-    mean = images.mean(axis=3, dtype=np.float32)[:, : rings // 2 * 2, : sectors // 2 * 2]
-    return mean.reshape(count, rings // 2, 2, sectors // 2, 2).mean(axis=(2, 4))
+    _, rings, sectors, colours = images.shape
+    total, terms = images.astype(np.float32), colours
+    if rings * sectors > MAX_PIXELS:
+        total, terms = total[:, : rings // 2 * 2 : 2] + total[:, 1::2], 4 * colours
+        total = total[:, :, : sectors // 2 * 2 : 2] + total[:, :, 1::2]
+    return (total.reshape(-1, colours) @ np.full(colours, 1.0 / terms, np.float32)).reshape(total.shape[:3])
 
 
 def turn(images: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -110,8 +113,8 @@ def turn(images: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     waves = np.asarray(fft.rfft(images, axis=2))
     frequency = np.arange(waves.shape[2], dtype=images.dtype)
     waves *= np.exp(-1j * frequency * angle[:, None, None].astype(images.dtype))
-    change = -1j * frequency * waves
-    return np.asarray(fft.irfft(waves, sectors, axis=2)), np.asarray(fft.irfft(change, sectors, axis=2))
+    turned, change = np.asarray(fft.irfft(np.stack([waves, -1j * frequency * waves]), sectors, axis=3))
+    return turned, change
 
 
 def find_yaw(images: np.ndarray, known: np.ndarray) -> np.ndarray:

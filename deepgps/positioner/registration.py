@@ -20,6 +20,7 @@ from deepgps.positioner.pixels import KnownPixels
 
 CANDIDATES, STARTS, START_DISTANCE_M = 128, 8, 0.4  # Images most alike, starts among these, distance of two [m]
 ROUNDS, SHARED_ROUNDS, STEP_M = 6, 2, 0.15  # Rounds from each start, with the same places, largest step of one [m]
+SLOWEST = 64  # Features, the slowest, by which images are alike
 MODES, MODE_DISTANCE_M = 5, 0.5  # Modes that are kept, and the distance between two [m]
 PIXEL_MARGIN, CLEAR_MARGIN = 1.4, 1.0
 """Modes whose cost exceeds the best by less than this are compared by pixels, too; if by less than this, none is sure.
@@ -133,11 +134,12 @@ class Registration:
 
     def find_starts(self, features: np.ndarray) -> np.ndarray:
         """Training images (B, STARTS) that look most like features (B, K), apart from one another."""
-        apart = self._squares - 2.0 * (features @ self.known.T)
-        count = min(CANDIDATES, len(self.known))
+        known, squares = self._slowest
+        apart = squares - (2.0 * features[:, : known.shape[1]]) @ known.T
+        count, rows = min(CANDIDATES, len(known)), np.arange(len(apart))[:, None]
         near = np.argpartition(apart, count - 1, axis=1)[:, :count]
-        near = np.take_along_axis(near, np.argsort(np.take_along_axis(apart, near, axis=1), axis=1), axis=1)
-        return np.take_along_axis(near, thin(self.places[near], STARTS, START_DISTANCE_M), axis=1)
+        near = near[rows, np.argsort(apart[rows, near], axis=1)]
+        return near[rows, thin(self.places[near], STARTS, START_DISTANCE_M)]
 
     def register(self, features: np.ndarray, images: np.ndarray) -> Registered:
         """Register observations by their whitened features (B, K), and grey images (B, R, S) if pixels are known."""
@@ -145,13 +147,13 @@ class Registration:
         count, rows = len(modes.residual), np.arange(len(modes.residual))
         cost, position = np.log(modes.residual), modes.position.copy()
         covariance = calibration.features * modes.covariance
-        yaw, yaw_std, unlike_pixels, gain, odd = (np.full(cost.shape, np.nan) for _ in range(5))
+        yaw, yaw_std, unlike_pixels, gain, odd = np.full((5, *cost.shape), np.nan)
         differ, unlike = np.zeros(cost.shape), modes.residual / modes.variance / calibration.features_limit
         if self.pixels is not None and count:
             close = np.nonzero(cost < cost[:, :1] + PIXEL_MARGIN)
             found = self.pixels.register(images[close[0]], modes.position[close], self.tree, self.kernel)
             of_pixels = calibration.pixels * found.covariance[:, :2, :2]
-            differ[close] = np.linalg.norm(found.position - modes.position[close], axis=1)
+            differ[close] = np.hypot(*(found.position - modes.position[close]).T)
             position[close], covariance[close] = fuse(position[close], covariance[close], found.position, of_pixels)
             yaw[close] = np.angle(np.exp(1j * self.chirality * found.yaw))
             yaw_std[close] = calibration.yaw * np.sqrt(found.covariance[:, 2, 2])
@@ -206,8 +208,9 @@ class Registration:
         return KDTree(self.places)
 
     @cached_property
-    def _squares(self) -> np.ndarray:
-        return np.square(self.known).sum(axis=1)
+    def _slowest(self) -> tuple[np.ndarray, np.ndarray]:
+        known = np.ascontiguousarray(self.known[:, :SLOWEST])
+        return known, np.square(known).sum(axis=1)
 
 
 def thin(places: np.ndarray, count: int, apart_m: float) -> np.ndarray:
