@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 
 from deepgps.positioner.kriging import find_nearest, krige
 from deepgps.positioner.pixels import grey, turn
-from deepgps.positioner.registration import RegistrationPositioner
+from deepgps.positioner.positioner import RegistrationPositioner
 from deepgps.positioner.stored_positioner import load_positioner
 from sim.alignment import fit_robust_alignment
 from sim.recording.format import open_recording, open_truth
@@ -26,28 +26,31 @@ def draw(run: Path, target: Path) -> None:
     """Draw the picture of a run with the method ``registration``."""
     recording, truth = open_recording(run / "recording"), open_truth(run / "recording")
     positioner = load_positioner(run / "registration")
-    assert isinstance(positioner, RegistrationPositioner) and positioner.pixels is not None
+    assert isinstance(positioner, RegistrationPositioner) and positioner.appearance is not None
+    known, of_images = positioner.known, positioner.known.pixels
+    assert of_images is not None
     image = recording.test_observation[CELL, HEADING][None].copy()
     image[:, :, HIDDEN_SECTORS] = 127
-    found, features = positioner.register(image), positioner.features.apply(image).numpy()
-    pixels = positioner.pixels.register(grey(image), found.position, positioner.tree, positioner.kernel)
-    near = find_nearest(positioner.tree, pixels.position, 12)[1]
-    seen = krige(pixels.position, positioner.places, near, positioner.kernel).predict(
-        positioner.pixels.images.reshape(len(positioner.places), -1)
-    )[:, 0]
-    shape = positioner.pixels.images.shape[1:]
-    turned = turn(grey(image), pixels.yaw - positioner.pixels.heading)[0][0]
-    alignment = fit_robust_alignment(positioner.places, truth.pose[positioner.index, :2], "SE2")
+    found, features = positioner.register(image), positioner.appearance.features.apply(image).numpy()
+    pixels = of_images.register(grey(image), found.position, known.tree, known.kernel)
+    near = find_nearest(known.tree, pixels.position, 12)[1]
+    flat = of_images.images.reshape(len(known.places), -1)
+    seen = krige(pixels.position, known.places, near, known.kernel).predict(flat)[:, 0]
+    shape = of_images.images.shape[1:]
+    turned = turn(grey(image), pixels.yaw - of_images.heading)[0][0]
+    alignment = fit_robust_alignment(known.places, truth.pose[positioner.index, :2], "SE2")
     figure, axes = plt.subplot_mosaic([["map", "query"], ["map", "seen"], ["map", "weight"]], figsize=(12, 6.2))
-    starts = positioner.places[positioner.find_starts(features)[0]]
-    draw_map(axes["map"], *(alignment.apply(some) for some in (positioner.places, starts, found.mode[0])))
+    starts = known.places[known.find_starts(features)[0]]
+    draw_map(axes["map"], *(alignment.apply(some) for some in (known.places, starts, found.mode[0])))
     axes["map"].plot(*truth.test_pose[CELL, HEADING, :2], "+", color="black", ms=16, mew=2, label="truth")
     axes["map"].legend(loc="lower center", bbox_to_anchor=(0.5, 1.02), ncols=2, frameon=False)
-    parts = {"query": (turned, "the image, turned to the common heading; a figure hides a part", "gray", None)}
-    parts["seen"] = (seen.reshape(shape), "what its place predicts, from twelve training images", "gray", None)
-    parts["weight"] = (pixels.weight[0], "weight of each pixel: where image and prediction agree", "viridis", 1.0)
+    parts = {
+        "query": (turned, "the image, turned to the common heading; a figure hides a part", "gray", 255.0),
+        "seen": (seen.reshape(shape), "what its place predicts, from twelve training images", "gray", 255.0),
+        "weight": (pixels.weight[0], "weight of each pixel: where image and prediction agree", "viridis", 1.0),
+    }
     for name, (part, title, colours, largest) in parts.items():
-        axes[name].imshow(part, cmap=colours, aspect="auto", vmin=0.0, vmax=largest or 255.0)
+        axes[name].imshow(part, cmap=colours, aspect="auto", vmin=0.0, vmax=largest)
         axes[name].set_title(title, fontsize=11)
         axes[name].set_axis_off()
     figure.tight_layout()
