@@ -7,9 +7,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 import onnxruntime
-from kriging import Kernel
-from pixels import KnownPixels, grey
-from registration import REASONS, Calibration, Registration, subtract_mount
+from kriging import Kernel  # pyright: ignore[reportMissingImports]
+from pixels import KnownPixels, grey  # pyright: ignore[reportMissingImports]
+from registration import (  # pyright: ignore[reportMissingImports]
+    REASONS,
+    Calibration,
+    Registration,
+    subtract_mount,
+)
 
 
 class Locator:
@@ -37,7 +42,7 @@ class Locator:
             padded = image.reshape(-1, 3)[tables["lean_pixel"]]
             image = cv2.remap(padded, tables["lean_column"], tables["lean_row"], cv2.INTER_LANCZOS4)
         names = [one.name for one in self.model.get_outputs()]
-        found = dict(zip(names, self.model.run(None, {"image": image[None]}), strict=True))
+        found = dict(zip(names, map(np.asarray, self.model.run(None, {"image": image[None]})), strict=True))
         rotation, shift = np.array(self.meta["rotation"]), np.array(self.meta["translation"])
         if self.known is None:
             return {"position": found["position"][0] @ rotation.T + shift}
