@@ -50,14 +50,14 @@ def test_a_perfect_odometry_does_not_move_its_frame():
     frame, rng = np.array([0.3, -1.0, 2.0]), np.random.default_rng(0)
     for odometry in rng.uniform(-2.0, 2.0, (20, 3)):
         pose = LOGIC.compose(frame, odometry)
-        found = {**SEEN_FIX, "position": pose[:2], "yaw": pose[2], "position_std": np.float32(0.01)}
+        found = {**SEEN_FIX, "position": pose[:2], "yaw": pose[2], "radius_68": np.float32(0.01)}
         fix = LOGIC.Localizer(lambda _, found=found: found, META).see(np.zeros((2, 2, 3), np.uint8), odometry)
         np.testing.assert_allclose(fix.map_to_odom, frame, atol=1e-12)
 
 
 @pytest.mark.parametrize("refused", [{"accepted": np.bool_(False)}, {"yaw": np.float32(np.nan)}])
 def test_an_image_that_is_refused_leaves_the_frame_where_it_is(refused: dict):
-    answers = iter([{**SEEN_FIX, "position_std": 0.01}, {**SEEN_FIX, "position_std": 0.01, **refused}])
+    answers = iter([{**SEEN_FIX, "radius_68": 0.01}, {**SEEN_FIX, "radius_68": 0.01, **refused}])
     localizer, image = LOGIC.Localizer(lambda _: next(answers), META), np.zeros((2, 2, 3), np.uint8)
     first = localizer.see(image, np.zeros(3))
     assert localizer.see(image, np.ones(3)) is None
@@ -71,7 +71,6 @@ def test_the_covariance_is_that_of_the_radius():
     assert not covariance[2:5].any() and not covariance[:, 2:5].any()
     drawn = rng.multivariate_normal(np.zeros(2), covariance[:2, :2], 20000)
     assert (np.linalg.norm(drawn, axis=1) < 0.15).mean() == pytest.approx(0.68, abs=0.01)
-    assert LOGIC.find_covariance({**SEEN_FIX, "position_std": 0.1})[0, 0] == pytest.approx(0.01)
 
 
 @pytest.mark.parametrize("meta", [{**META, "mirrored": True}, {**META, "outputs": {"position": ""}}])

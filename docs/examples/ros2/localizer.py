@@ -55,7 +55,7 @@ class Localizer:
 
 def find_covariance(found: Mapping[str, np.ndarray]) -> np.ndarray:
     """Covariance (6, 6) of a pose by its radius of 68 %, or else by the deviation that the map alone shows."""
-    along = found["radius_68"] / RADIUS_68 if "radius_68" in found else found["position_std"]
+    along = found["radius_68"] / RADIUS_68
     return np.diag([along, along, 0.0, 0.0, 0.0, found["yaw_std"]]).astype(float) ** 2
 
 
