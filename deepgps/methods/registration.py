@@ -144,6 +144,10 @@ class LeftOut(NamedTuple):
     sample: np.ndarray  # Their numbers (n,)
     others: np.ndarray  # The nearest of other segments (n, k)
 
+    def take_trial(self) -> "LeftOut":
+        """Those on which kernels are tried."""
+        return LeftOut(*(part[:: -(-len(self.sample) // TRIAL_IMAGES)] for part in self))
+
 
 def leave_out(places: np.ndarray, first: np.ndarray, last: np.ndarray, rows: np.ndarray, count: int) -> LeftOut:
     """At most ``count`` of the observations ``rows`` (n,) with those around them; arguments as in ``find_others``."""
@@ -158,7 +162,7 @@ def whiten(
     """Features of observations ``index`` (n,) such that errors of prediction are white, their kernel and projection."""
     sample, others = left_out
     features = data.features.numpy()[index]
-    kernel = choose_kernel(places, features, sample, others)
+    kernel = choose_kernel(places, features, *left_out.take_trial())
     weights = krige(places[sample], places, others, kernel)
     error = (features[sample] - weights.predict(features)[:, 0]) / np.sqrt(weights.variance)[:, None]
     size = np.square(error).sum(axis=1)
@@ -193,7 +197,7 @@ def learn_pixels(
 
 def choose_kernel_by_errors(known: Registration, left_out: LeftOut) -> Kernel:
     """The kernel with which left-out observations are registered nearest to their positions, by the geometric mean."""
-    sample, others = (part[:: -(-len(left_out.sample) // TRIAL_IMAGES)] for part in left_out)
+    sample, others = left_out.take_trial()
     place = known.places[sample]
 
     def find_cost(kernel: Kernel) -> float:
