@@ -10,7 +10,7 @@ The noise of one image is unknown: integrated out with Jeffreys' prior, the like
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -20,7 +20,7 @@ from deepgps.positioner.pixels import KnownPixels
 
 CANDIDATES, STARTS, START_DISTANCE_M = 128, 8, 0.4  # Images most alike, starts among these, distance of two [m]
 ROUNDS, SHARED_ROUNDS, STEP_M = 6, 2, 0.15  # Rounds from each start, with the same places, largest step of one [m]
-SLOWEST = 64  # Features, the slowest, by which images are alike; other observations are by all
+START_FEATURES = 64  # Features, the slowest, by which images are alike; other observations are by all
 MODES, MODE_DISTANCE_M = 5, 0.5  # Modes that are kept, and the distance between two [m]
 PIXEL_MARGIN, CLEAR_MARGIN = 1.4, 1.0
 """Modes whose cost exceeds the best by less than this are compared by pixels, too; if by less than this, none is sure.
@@ -40,10 +40,6 @@ class Match(NamedTuple):
     residual: np.ndarray  # Squared residual (n,)
     variance: np.ndarray  # Of the prediction, relative (n,)
     covariance: np.ndarray  # Of the position, but for a common factor (n, 2, 2)
-
-    def take(self, index: Any) -> "Match":
-        """Some of them."""
-        return Match(*(part[index] for part in self))
 
 
 @dataclass(frozen=True)
@@ -121,7 +117,7 @@ class Registration:
         position, least = start.copy(), 1e-9 * np.eye(2)
         for step in range(rounds + 1):
             if step == 0 or (index is None and step % SHARED_ROUNDS == 0 and step < rounds):
-                near = self._find_nearest(position) if index is None else index
+                near = find_nearest(self.tree, position, NEIGHBOURS)[1] if index is None else index
                 around = Surroundings.find(self.places, near, self.kernel)
                 products = compare(self.known, features, near)
             weights = around.krige(position)
@@ -191,16 +187,12 @@ class Registration:
         shape = start.shape[:2]
         found = self.match(np.repeat(features, shape[1], axis=0), start.reshape(-1, 2))
         order = np.argsort(found.residual.reshape(shape), axis=1, kind="stable")
-        rows = np.arange(shape[0])[:, None]
-        modes = Match(*(part.reshape(*shape, *part.shape[1:])[rows, order] for part in found))
-        chosen = thin(modes.position, MODES, MODE_DISTANCE_M)
+        order += shape[1] * np.arange(shape[0])[:, None]
+        chosen = thin(found.position[order], MODES, MODE_DISTANCE_M)
         again = np.diff(chosen, axis=1, prepend=-1) <= 0  # ``thin`` repeats the first where there are no more
-        modes = modes.take((rows, chosen))
+        modes = Match(*(part[np.take_along_axis(order, chosen, axis=1)] for part in found))
         modes.residual[again], modes.position[again] = np.inf, np.nan
         return modes
-
-    def _find_nearest(self, position: np.ndarray) -> np.ndarray:
-        return find_nearest(self.tree, position, NEIGHBOURS)[1]
 
     @cached_property
     def tree(self) -> KDTree:
@@ -209,7 +201,7 @@ class Registration:
 
     @cached_property
     def _slowest(self) -> tuple[np.ndarray, np.ndarray]:
-        known = self.known if self.pixels is None else np.ascontiguousarray(self.known[:, :SLOWEST])
+        known = self.known if self.pixels is None else np.ascontiguousarray(self.known[:, :START_FEATURES])
         return known, np.square(known).sum(axis=1)
 
 
