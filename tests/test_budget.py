@@ -5,7 +5,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "lines of sim and deepgps": 40_956,
+    "lines of sim and deepgps": 40_983,
     "files of sim and deepgps": 280,
     "lines of tests": 28_203,
     "Python files directly in deepgps": 2,
