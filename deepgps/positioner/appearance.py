@@ -1,11 +1,11 @@
 """What is seen where on a map: registers observations, and is stored with every method that compares features."""
 
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple, Self
 
 import numpy as np
 import torch
+from pydantic import TypeAdapter
 
 from deepgps.config.learning import FeatureSettings
 from deepgps.data.features import Features, check_shape
@@ -108,12 +108,8 @@ class AppearanceMap:
         registration = Registration(
             **{name: arrays[name] for name in ARRAYS},
             kernel=Kernel(*numbers["kernel"]),
-            calibration=_read_calibration(numbers["calibration"]),
+            calibration=TypeAdapter(Calibration).validate_python(numbers["calibration"]),
             pixels=pixels,
             chirality=int(numbers["chirality"]),
         )
         return cls(unpack_features(packed.take("features")), registration)
-
-
-def _read_calibration(numbers: Mapping[str, Any]) -> Calibration:
-    return Calibration(**{**numbers, "radius": tuple(numbers["radius"])})

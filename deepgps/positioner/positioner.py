@@ -12,6 +12,7 @@ from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 import torch
+from pydantic import TypeAdapter
 from torch import nn
 
 from deepgps.config.learning import LearnSettings, NetworkSettings
@@ -21,7 +22,6 @@ from deepgps.learning.networks import make_network
 from deepgps.learning.training_data import TrainingData
 from deepgps.positioner.appearance import AppearanceMap, Packed, pack_features, unpack_features
 from deepgps.positioner.registration import Registered, Registration, subtract_mount
-from sim.sensors.camera.lens import Lens
 from sim.sensors.camera.mount import Upright
 
 CHUNK = 500
@@ -119,7 +119,7 @@ class FeaturePositioner(Positioner):
     def unpack_shared(self, packed: Packed) -> Self:
         """The same with what was packed so; raises KeyError where a part is missing."""
         ahead, left = packed.numbers["mount_m"]
-        upright = read_upright(packed.numbers.get("upright"))
+        upright = TypeAdapter(Upright | None).validate_python(packed.numbers.get("upright"))
         known = AppearanceMap.unpack(packed.take("appearance")) if "appearance" in packed.numbers else None
         return replace(self, upright=upright, mount=(float(ahead), float(left)), appearance=known)
 
@@ -282,14 +282,6 @@ class RegistrationPositioner(FeaturePositioner):
     @classmethod
     def unpack(cls, packed: Packed) -> Self:
         return cls(packed.tensors["index"].numpy())
-
-
-def read_upright(stored: Mapping[str, Any] | None) -> Upright | None:
-    """What sets images upright, as a positioner packs it."""
-    if stored is None:
-        return None
-    (roll, pitch), (right, ahead), (k1, k2, k3, k4) = stored["lean"], stored["parallax"], stored["lens"]["k"]
-    return Upright(Lens(stored["lens"]["half_angle"], (k1, k2, k3, k4)), (roll, pitch), (right, ahead))
 
 
 class Fitted(NamedTuple):
