@@ -1,7 +1,6 @@
 """Draw the picture of the page "When can I trust it?" from a run, and print the page's table.
 
-``.venv/bin/deepgps run living_room --methods deepgps_compass posenet --deployment.drive-samples 1000
---out runs/trust``, then
+``.venv/bin/deepgps run demo --methods registration knn posenet --deployment.drive-samples 1000 --out runs/trust``, then
 ``.venv/bin/python -m docs.trust_picture runs/trust``.
 """
 

@@ -40,7 +40,7 @@ USUAL_SHARE = 0.98  # Share of the left-out images whose distance between two an
 LIKE_SHARE, MARGIN = 0.99, 4.0
 """An image is unlike others if it exceeds this share of the left-out images by this factor."""
 NORMAL_MEDIAN = np.log(2.0)  # Median of the squared length of a normal vector in the plane, over its mean
-UNCALIBRATED = Calibration(1.0, 1.0, np.inf, np.inf, 1.0, (1.0, 1.0), 1.0, 0.0, 0.0, 0.0)
+UNCALIBRATED = Calibration(1.0, 1.0, np.inf, np.inf, 1.0, (1.0, 1.0), 1.0, 0.0, 0.0)
 
 
 def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
@@ -216,8 +216,8 @@ def calibrate(known: Registration, images: np.ndarray, heading: np.ndarray, left
     low, usual = np.quantile(unlike, [0.1, 0.5])
     components = 2.0 / (np.log(usual / low) / 1.2816) ** 2  # as of a chi-squared variable
     features = _find_factor(match.position - place, match.covariance)
-    position, covariance, pixels, yaw, pixels_limit = match.position, features * match.covariance, 0.0, 1.0, 1.0
-    light, odd = 0.0, 0.0
+    position, covariance, light = match.position, features * match.covariance, 0.0
+    pixels, yaw, pixels_limit = 0.0, 1.0, 1.0
     if known.pixels is not None:
         found = known.pixels.register(grey(images), place, known.tree, known.kernel, others)
         pixels = _find_factor(found.position - place, found.covariance[:, :2, :2])
@@ -225,12 +225,11 @@ def calibrate(known: Registration, images: np.ndarray, heading: np.ndarray, left
         off = np.abs(wrap(known.chirality * found.yaw - heading)) / np.sqrt(found.covariance[:, 2, 2])
         yaw = float(np.quantile(off, 0.68))
         light = float(np.quantile(np.abs(np.log(np.maximum(found.gain, 1e-3))), LIKE_SHARE))
-        odd = float(np.quantile(found.odd, LIKE_SHARE))
         position, covariance = fuse(position, covariance, found.position, pixels * found.covariance[:, :2, :2])
     away, size = np.linalg.norm(position - place, axis=1), np.sqrt(_find_trace(covariance))
     radius = float(np.quantile(away / size, 0.68)), float(np.quantile(away / size, 0.95))
     limits, difference = (_find_limit(unlike), pixels_limit), float(np.quantile(away, USUAL_SHARE))
-    return Calibration(features, pixels, *limits, float(components), radius, yaw, light, odd, difference)
+    return Calibration(features, pixels, *limits, float(components), radius, yaw, light, difference)
 
 
 def _find_limit(unlike: np.ndarray) -> float:

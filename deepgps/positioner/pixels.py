@@ -20,7 +20,6 @@ MAX_PIXELS = 1024  # Images with more are halved
 CORRELATION_SAMPLES = 512  # Samples of the circular correlation
 DAMPING = 1e-4
 GAINS = 0.3, 3.0  # Smallest and largest gain
-ODD_WEIGHT = 0.1  # Weight of a pixel below which it is not explained: 4.5 standard deviations off
 
 
 class PixelMatch(NamedTuple):
@@ -33,7 +32,6 @@ class PixelMatch(NamedTuple):
     spread: np.ndarray  # Median absolute residual, in standard deviations of the noise (n,)
     variance: np.ndarray  # Of the prediction, relative (n,)
     gain: np.ndarray  # Brightness over that of the training images (n,)
-    odd: np.ndarray  # Share of the pixels that are not explained (n,)
 
 
 @dataclass(frozen=True)
@@ -93,7 +91,6 @@ class KnownPixels:
             spread,
             weights.variance,
             gain[:, 0] + offset[:, 0] / np.maximum(seen[:, 0].mean(axis=1), 1.0),
-            (weight < ODD_WEIGHT).mean(axis=1),
         )
 
 

@@ -53,13 +53,13 @@ class Registered:
     mode: np.ndarray  # Positions that are as good or nearly, the best first (B, MODES, 2) [m]; NaN: there is none
     mode_yaw: np.ndarray  # Yaw of the robot there (B, MODES) [rad]; NaN where pixels are not compared
     weight: np.ndarray  # Probability of each (B, MODES)
-    unlike: np.ndarray  # Squared residual of features or of pixels, the smaller, over the largest that is usual (B,)
+    unlike: np.ndarray  # The smaller of the two below (B,)
     reason: np.ndarray  # Number in ``REASONS`` (B,)
     near: np.ndarray  # Nearest training image (B,)
+    unlike_features: np.ndarray  # Squared residual of the features over the largest that is usual (B,)
     # By the pixels (B,), NaN where none are compared:
     unlike_pixels: np.ndarray  # Squared residual of most pixels over the largest that is usual
     gain: np.ndarray  # Brightness over that of the training images
-    odd: np.ndarray  # Share of the pixels that are not explained
 
     def move(self, position: np.ndarray, usual_m: float = 0.0) -> "Registered":
         """What this says of other positions (B, 2) [m] for the same images.
@@ -85,7 +85,6 @@ class Calibration:
     radius: tuple[float, float]  # Radii of 68 and 95 %, over the root of the covariance's trace
     yaw: float  # Standard deviation of the yaw over that by the pixels alone
     light: float  # Largest usual change of the logarithm of the brightness; 0 without pixels
-    odd: float  # Largest usual share of pixels that are not explained; 0 without pixels
     difference: float  # Largest usual distance of a left-out image from its position on the map [m]
 
 
@@ -143,8 +142,8 @@ class Registration:
         count, rows = len(modes.residual), np.arange(len(modes.residual))
         cost, position = np.log(modes.residual), modes.position.copy()
         covariance = calibration.features * modes.covariance
-        yaw, yaw_std, unlike_pixels, gain, odd = np.full((5, *cost.shape), np.nan)
-        differ, unlike = np.zeros(cost.shape), modes.residual / modes.variance / calibration.features_limit
+        yaw, yaw_std, unlike_pixels, gain = np.full((4, *cost.shape), np.nan)
+        differ, unlike_features = np.zeros(cost.shape), modes.residual / modes.variance / calibration.features_limit
         if self.pixels is not None and count:
             close = np.nonzero(cost < cost[:, :1] + PIXEL_MARGIN)
             found = self.pixels.register(images[close[0]], modes.position[close], self.tree, self.kernel)
@@ -154,11 +153,11 @@ class Registration:
             yaw[close] = np.angle(np.exp(1j * self.chirality * found.yaw))
             yaw_std[close] = calibration.yaw * np.sqrt(found.covariance[:, 2, 2])
             unlike_pixels[close] = found.spread**2 / found.variance / calibration.pixels_limit
-            gain[close], odd[close] = found.gain, found.odd
-            unlike = np.fmin(unlike, unlike_pixels)  # what is hidden spoils the features, and few pixels
+            gain[close] = found.gain
             with_pixels = np.full(cost.shape, np.inf)
             with_pixels[close] = cost[close] + np.log(found.spread)
             cost = with_pixels
+        unlike = np.fmin(unlike_features, unlike_pixels)  # what is hidden spoils the features, and few pixels
         order = (rows[:, None], np.argsort(cost, axis=1, kind="stable"))
         cost, best = cost[order], order[1][:, 0]
         weight = np.exp(calibration.components / 2.0 * (cost[:, :1] - cost))
@@ -176,9 +175,9 @@ class Registration:
             unlike[rows, best],
             np.select(conditions, list(range(1, len(REASONS))), 0),
             find_nearest(self.tree, place, 1)[1][:, 0],
+            unlike_features[rows, best],
             unlike_pixels[rows, best],
             gain[rows, best],
-            odd[rows, best],
         )
 
     def _find_modes(self, features: np.ndarray) -> Match:

@@ -13,7 +13,7 @@ import numpy as np
 
 from deepgps.data.turns import MAX_TURNS, adapt_upright, compare_images, find_in_place, ignore_small, turns_with_images
 from deepgps.positioner.positioner import FeaturePositioner, Positioner
-from deepgps.positioner.registration import Registered
+from deepgps.positioner.registration import REASONS, Registered
 from deepgps.tracking.image_checks import ImageLimits, check_images, find_driven, find_limits
 from sim.recording.format import Recording
 from sim.recording.turns import from_array
@@ -34,29 +34,29 @@ TITLES = {
 FAULTY_CAUSES = ("black", "white", "covered", "frozen")
 """Causes of images that do not show where the camera is or how it leans."""
 WINDOW, NEW_ROOM_SHARE = 150, 0.95  # The robot is in another room if this share of so many consecutive images is new
-LIGHT_WINDOW, RELIT_SHARE, MAIN_SHARE = 50, 0.25, 0.5
-"""The light has changed where values differ in the first share of so many images before and after an image. Where light
-or furniture have changed in the second share of them, it is also why others are refused."""
+AROUND, SOME_SHARE, MAIN_SHARE = 50, 0.25, 0.5
+"""Light or furniture have changed where the first share of so many images before and after an image show it. Where the
+second share of them does, it is also why others are refused."""
 LEAN_RINGS = 1.0 / 6.0
 """A camera has moved if it leans otherwise than in training by this part of a ring: 0.5 degrees with 32 rings."""
-RELIT_RATIO, ODD_RATIO = 2.0, 1.5
-"""An image is relit if its brightness differs this many times as much as that of one training image in a hundred, and
-something in it has changed if so many times more of it is not explained."""
-SAME_PLACE = 0.25  # ``Registered.unlike_pixels`` up to which an image surely is of its place on the map
+RELIT_RATIO = 2.0
+"""An image is relit if its brightness differs this many times as much as that of one training image in a hundred."""
+USUAL = 0.25  # What ``Registered.unlike_features`` and ``unlike_pixels`` of one training image in a hundred exceed
 MIN_CAUSE_SHARE = 0.05  # A drive has a cause if this share of its images does
 
 Signs = dict[str, np.ndarray]
-"""What N images show, each by itself: arrays (N,) by name, all but the last bool.
+"""What N images show, each by itself: arrays (N,) bool by name.
 
 black, white, covered, frozen: by ``check_images``; accepted: the method accepts its position; known_place: it does, or
-most of the pixels are those of the place on the map; relit: their brightness differs; changed: some of them differ.
+most of the pixels are those of one place on the map; relit: their brightness differs; changed: its features, which mix
+all of the view, differ.
 """
 
 
 def label(signs: Signs, around: Signs, leaning: bool, other_room: np.ndarray) -> np.ndarray:
     """Name of each image's cause, the first that holds (N,) str; empty: none.
 
-    The light can change though an image is accepted.
+    Light and furniture can change though an image is accepted.
 
     Args:
         signs: What each image shows by itself.
@@ -65,14 +65,17 @@ def label(signs: Signs, around: Signs, leaning: bool, other_room: np.ndarray) ->
         other_room: Whether it is in a long stretch of images nearly all of which are refused (N,) bool.
     """
     known, refused = signs["known_place"], ~signs["accepted"]
-    relit = known & signs["relit"] & (around["relit"] >= RELIT_SHARE)
+    relit, changed = (
+        (signs[name] & (around[name] >= SOME_SHARE)) | (refused & (around[name] >= MAIN_SHARE))
+        for name in ("relit", "changed")
+    )
     rules = {
         **{name: signs[name] for name in FAULTY_CAUSES},
-        "light": relit | (refused & (around["relit"] >= MAIN_SHARE)),
+        "light": relit,
+        "camera": refused & known & leaning,
+        "other_room": refused & other_room,
+        "furniture": changed & (not leaning),
         "": ~refused,
-        "camera": known & leaning,
-        "furniture": signs["changed"] | (around["changed"] >= MAIN_SHARE),
-        "other_room": other_room,
         "new_place": refused,
     }
     return np.select(list(rules.values()), list(rules), "")
@@ -187,14 +190,14 @@ class Monitor:
             found: Where they were taken.
         """
         assert self.positioner.appearance is not None
-        usual, accepted = self.positioner.appearance.registration.calibration, found.reason == 0
-        known = accepted | (found.unlike_pixels <= SAME_PLACE)
+        accepted, least = found.reason == 0, RELIT_RATIO * self.positioner.appearance.registration.calibration.light
+        known = accepted | ((found.reason != REASONS.index("ambiguous")) & (found.unlike_pixels <= USUAL))
         return {
             **check_images(images, moved, self.limits),
             "accepted": accepted,
             "known_place": known,
-            "relit": known & (np.abs(np.log(np.maximum(found.gain, 1e-3))) > RELIT_RATIO * usual.light),
-            "changed": found.odd > ODD_RATIO * usual.odd,
+            "relit": known & (np.abs(np.log(np.maximum(found.gain, 1e-3))) > least),
+            "changed": known & (found.unlike_features > USUAL),
         }
 
     def label(self, signs: Signs, leaning: bool, window: int) -> np.ndarray:
@@ -205,8 +208,8 @@ class Monitor:
             leaning: Whether the camera leans otherwise than in training, and the method does not correct it.
             window: Images that a stretch of another room has at least.
         """
-        other_room = find_long(~signs["accepted"] & ~signs["changed"], window)
-        return label(signs, {name: share_around(signs[name]) for name in ("relit", "changed")}, leaning, other_room)
+        around = {name: share_around(signs[name]) for name in ("relit", "changed")}
+        return label(signs, around, leaning, find_long(~signs["accepted"], window))
 
 
 def find_least_lean(upright: Upright, rings: int) -> float:
@@ -265,7 +268,7 @@ def find_long(new: np.ndarray, size: int = WINDOW) -> np.ndarray:
 
 
 def share_around(found: np.ndarray) -> np.ndarray:
-    """Share of the images within ``LIGHT_WINDOW`` of each image (N,) that have what is found (N,) bool."""
+    """Share of the images within ``AROUND`` of each image (N,) that have what is found (N,) bool."""
     total, rows = np.append(0, np.cumsum(found)), np.arange(len(found))
-    first, last = np.maximum(rows - LIGHT_WINDOW, 0), np.minimum(rows + LIGHT_WINDOW + 1, len(found))
+    first, last = np.maximum(rows - AROUND, 0), np.minimum(rows + AROUND + 1, len(found))
     return (total[last] - total[first]) / np.maximum(last - first, 1)
