@@ -34,14 +34,16 @@ TITLES = {
 FAULTY_CAUSES = ("black", "white", "covered", "frozen")
 """Causes of images that do not show where the camera is or how it leans."""
 WINDOW, NEW_ROOM_SHARE = 150, 0.95  # The robot is in another room if this share of so many consecutive images is new
-AROUND, SOME_SHARE, MAIN_SHARE = 50, 0.25, 0.5
+NEIGHBOURS, SOME_SHARE, MAIN_SHARE = 50, 0.25, 0.5
 """Light or furniture have changed where the first share of so many images before and after an image show it. Where the
 second share of them does, it is also why others are refused."""
 LEAN_RINGS = 1.0 / 6.0
 """A camera has moved if it leans otherwise than in training by this part of a ring: 0.5 degrees with 32 rings."""
 RELIT_RATIO = 2.0
 """An image is relit if its brightness differs this many times as much as that of one training image in a hundred."""
-USUAL = 0.25  # What ``Registered.unlike_features`` and ``unlike_pixels`` of one training image in a hundred exceed
+USUAL_LIMIT = (
+    0.25  # What ``Registered.unlike_features`` and ``unlike_pixels`` of one training image in a hundred exceed
+)
 MIN_CAUSE_SHARE = 0.05  # A drive has a cause if this share of its images does
 
 Signs = dict[str, np.ndarray]
@@ -74,7 +76,7 @@ def label(signs: Signs, around: Signs, leaning: bool, other_room: np.ndarray) ->
         "light": relit,
         "camera": refused & known & leaning,
         "other_room": refused & other_room,
-        "furniture": changed & (not leaning),
+        "furniture": changed,
         "": ~refused,
         "new_place": refused,
     }
@@ -162,6 +164,7 @@ class Monitor:
             signs = self.look(images, find_driven(drive), self.register(images, upright)) | {
                 "accepted": signs["accepted"]
             }
+        signs["changed"] &= not leans  # features of images that are set upright otherwise are others
         gain = found.gain[signs["known_place"]]
         causes = self.label(signs, leans and not corrected, min(WINDOW, len(images)))
         accepted = signs["accepted"] & ~np.isin(causes, FAULTY_CAUSES)
@@ -191,13 +194,13 @@ class Monitor:
         """
         assert self.positioner.appearance is not None
         accepted, least = found.reason == 0, RELIT_RATIO * self.positioner.appearance.registration.calibration.light
-        known = accepted | ((found.reason != REASONS.index("ambiguous")) & (found.unlike_pixels <= USUAL))
+        known = accepted | ((found.reason != REASONS.index("ambiguous")) & (found.unlike_pixels <= USUAL_LIMIT))
         return {
             **check_images(images, moved, self.limits),
             "accepted": accepted,
             "known_place": known,
             "relit": known & (np.abs(np.log(np.maximum(found.gain, 1e-3))) > least),
-            "changed": known & (found.unlike_features > USUAL),
+            "changed": known & (found.unlike_features > USUAL_LIMIT),
         }
 
     def label(self, signs: Signs, leaning: bool, window: int) -> np.ndarray:
@@ -268,7 +271,7 @@ def find_long(new: np.ndarray, size: int = WINDOW) -> np.ndarray:
 
 
 def share_around(found: np.ndarray) -> np.ndarray:
-    """Share of the images within ``AROUND`` of each image (N,) that have what is found (N,) bool."""
+    """Share of the images within ``NEIGHBOURS`` of each image (N,) that have what is found (N,) bool."""
     total, rows = np.append(0, np.cumsum(found)), np.arange(len(found))
-    first, last = np.maximum(rows - AROUND, 0), np.minimum(rows + AROUND + 1, len(found))
+    first, last = np.maximum(rows - NEIGHBOURS, 0), np.minimum(rows + NEIGHBOURS + 1, len(found))
     return (total[last] - total[first]) / np.maximum(last - first, 1)

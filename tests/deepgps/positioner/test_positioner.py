@@ -82,7 +82,7 @@ def trusting(positioner: NetworkPositioner | NeighbourPositioner) -> NetworkPosi
     """The positioner with some images on its map."""
     features, seen = spectral().features, images(30, 2)
     assert features is not None
-    calibration = Calibration(1.0, 0.0, 1e9, 1.0, 4.0, (1.5, 2.4), 1.0, 1.0, 1.0, 1.0)
+    calibration = Calibration(1.0, 0.0, 1e9, 1.0, 4.0, (1.5, 2.4), 1.0, 1.0, 1.0)
     arrays = features.apply(seen).numpy(), positioner.locate_camera(seen), np.zeros(30)
     known = Registration(*arrays, Kernel(0.2, 0.02), calibration)
     return replace(positioner, appearance=AppearanceMap(features, known))
