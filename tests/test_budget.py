@@ -5,9 +5,9 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "lines of sim and deepgps": 40_983,
+    "lines of sim and deepgps": 41_000,
     "files of sim and deepgps": 280,
-    "lines of tests": 28_203,
+    "lines of tests": 28_230,
     "Python files directly in deepgps": 2,
     "words of decisions": 6_000,
     "words of all other pages by hand": 19_350,
