@@ -1,6 +1,6 @@
 """Measure how fast this machine runs a scenario, draws images, trains and positions, and how much memory that takes.
 
-Usage: python tests/bench.py [SCENARIO], by default living_room, the demo; it works in a temporary folder of runs/.
+Usage: python tests/bench.py [SCENARIO], by default demo; it works in a temporary folder of runs/.
 """
 
 import resource
@@ -89,7 +89,7 @@ def time_call(work: Callable[[], object]) -> float:
 
 def main() -> None:
     """Measure everything and print each figure as soon as it is known."""
-    name = sys.argv[1] if len(sys.argv) > 1 else "living_room"
+    name = sys.argv[1] if len(sys.argv) > 1 else "demo"
     Path("runs").mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory(dir="runs", prefix="bench-") as work:
         folder = Path(work) / "run"

@@ -20,7 +20,7 @@ from deepgps.positioner.pixels import KnownPixels
 
 CANDIDATES, STARTS, START_DISTANCE_M = 128, 8, 0.4  # Images most alike, starts among these, distance of two [m]
 ROUNDS, SHARED_ROUNDS, STEP_M = 6, 2, 0.15  # Rounds from each start, with the same places, largest step of one [m]
-START_FEATURES = 64  # Features, the slowest, by which images are alike; other observations are by all
+START_FEATURES = 96  # Features, the slowest, by which images are alike; other observations are by all
 MODES, MODE_DISTANCE_M = 5, 0.5  # Modes that are kept, and the distance between two [m]
 PIXEL_MARGIN, CLEAR_MARGIN = 1.4, 1.0
 """Modes whose cost exceeds the best by less than this are compared by pixels, too; if by less than this, none is sure.
