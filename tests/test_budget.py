@@ -9,7 +9,7 @@ LIMITS = {
     "files of sim and deepgps": 280,
     "lines of tests": 28_230,
     "Python files directly in deepgps": 2,
-    "words of decisions": 6_000,
+    "words of decisions": 6_030,
     "words of all other pages by hand": 19_350,
     "words of the reference that the code does not say": 3_400,
     "words of published results": 8_000,
