@@ -41,9 +41,7 @@ LEAN_RINGS = 1.0 / 6.0
 """A camera has moved if it leans otherwise than in training by this part of a ring: 0.5 degrees with 32 rings."""
 RELIT_RATIO = 2.0
 """An image is relit if its brightness differs this many times as much as that of one training image in a hundred."""
-USUAL_LIMIT = (
-    0.25  # What ``Registered.unlike_features`` and ``unlike_pixels`` of one training image in a hundred exceed
-)
+USUAL_LIMIT = 0.25  # One training image in a hundred exceeds it in ``unlike_features`` or ``unlike_pixels``
 MIN_CAUSE_SHARE = 0.05  # A drive has a cause if this share of its images does
 
 Signs = dict[str, np.ndarray]
