@@ -10,7 +10,7 @@ from rich.console import Console
 from deepgps.config.methods import METHODS, title_of
 from deepgps.evaluation.error_field import REPAIR_HINT
 from deepgps.reports import table
-from deepgps.reports.table import Column, fill, write_hundredths
+from deepgps.reports.table import Column, fill, write_centimetres, write_hundredths
 from deepgps.reports.without_truth import print_without_truth
 from deepgps.runs.run_folder import METRICS
 from deepgps.tracking.causes import describe_causes
@@ -20,17 +20,18 @@ from sim.files.checksums import read_json
 Row = tuple[str, ...]
 
 COLUMNS: tuple[Column, ...] = (
-    ("RMS [cm]", "rms_m", write_hundredths),
-    ("median [cm]", "median_m", write_hundredths),
-    ("p75 [cm]", "p75_m", write_hundredths),
-    ("p95 [cm]", "p95_m", write_hundredths),
-    ("max [cm]", "max_m", write_hundredths),
+    ("RMS [cm]", "rms_m", write_centimetres),
+    ("median [cm]", "median_m", write_centimetres),
+    ("p75 [cm]", "p75_m", write_centimetres),
+    ("p95 [cm]", "p95_m", write_centimetres),
+    ("max [cm]", "max_m", write_centimetres),
     ("yaw [deg]", "yaw_rms_deg", lambda value: f"{value:.1f}"),
-    ("RMS / side", "relative_rms", lambda value: f"{100 * value:.2f} %"),
-    ("scale", "scale", lambda value: f"{value:.4f}"),
+    ("RMS / side", "relative_rms", lambda value: f"{100 * value:.1f} %"),
+    ("scale", "scale", lambda value: f"{value:.3f}"),
     ("align", "alignment", str),
     ("train [s]", "train_s", lambda value: f"{value:.1f}"),
 )
+"""Columns of the table, which fits into 80 columns of a terminal."""
 MIN_LEAN_DEG = 0.1  # Smallest lean of the camera that is reported [deg]
 OVERVIEW = tuple(column for column in COLUMNS if column[1] in {"rms_m", "median_m", "max_m", "relative_rms"})
 

@@ -16,6 +16,11 @@ def write_hundredths(value: float) -> str:
     return f"{100 * value:.1f}"
 
 
+def write_centimetres(value: float) -> str:
+    """A length [m] in centimetres, from 100 on without decimals."""
+    return f"{100 * value:.0f}" if value >= 0.9995 else f"{100 * value:.1f}"
+
+
 def fill(columns: Sequence[Column], figures: Mapping[str, Any], unknown: str = "-") -> list[str]:
     """The cells of a row with these figures."""
     return [unknown if figures.get(key) is None else write(figures[key]) for _, key, write in columns]
