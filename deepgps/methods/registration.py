@@ -213,8 +213,8 @@ def calibrate(known: Registration, images: np.ndarray, heading: np.ndarray, left
     place = known.places[sample]
     match = known.match(known.known[sample], place, index=others)
     unlike = match.residual / match.variance
-    low, usual = np.quantile(unlike, [0.1, 0.5])
-    components = 2.0 / (np.log(usual / low) / 1.2816) ** 2  # as of a chi-squared variable
+    low, usual = np.maximum(np.quantile(unlike, [0.1, 0.5]), 1e-12)
+    components = 2.0 / (max(np.log(usual / low), 0.01) / 1.2816) ** 2  # as of a chi-squared variable
     features = _find_factor(match.position - place, match.covariance)
     position, covariance, light = match.position, features * match.covariance, 0.0
     pixels, yaw, pixels_limit = 0.0, 1.0, 1.0
