@@ -124,7 +124,7 @@ class Registration:
             inverse = np.linalg.inv(product[:, 1:, 1:] + least)
             if step < rounds:
                 position -= limit((inverse @ product[:, 1:, :1])[..., 0], STEP_M)
-        squared = product[:, 0, 0]
+        squared = np.maximum(product[:, 0, 0], 1e-6)  # rounding may leave less than nothing
         return Match(position, squared, weights.variance, squared[:, None, None] * inverse)
 
     def find_starts(self, features: np.ndarray) -> np.ndarray:
