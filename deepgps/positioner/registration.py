@@ -121,10 +121,13 @@ class Registration:
                 products = compare(self.known, features, near)
             weights = around.krige(position)
             product = weights.both @ products @ np.swapaxes(weights.both, 1, 2)  # of minus the residual and derivatives
-            inverse = np.linalg.inv(product[:, 1:, 1:] + least)
+            slopes = product[:, 1:, 1:]
+            mean, half = (slopes[:, 0, 0] + slopes[:, 1, 1]) / 2.0, (slopes[:, 0, 0] - slopes[:, 1, 1]) / 2.0
+            lift = np.maximum(np.hypot(half, slopes[:, 0, 1]) - mean, 0.0)  # rounding may leave less than nothing
+            inverse = np.linalg.inv(slopes + least + lift[:, None, None] * np.eye(2))
             if step < rounds:
                 position -= limit((inverse @ product[:, 1:, :1])[..., 0], STEP_M)
-        squared = np.maximum(product[:, 0, 0], 1e-6)  # rounding may leave less than nothing
+        squared = np.maximum(product[:, 0, 0], 1e-6)
         return Match(position, squared, weights.variance, squared[:, None, None] * inverse)
 
     def find_starts(self, features: np.ndarray) -> np.ndarray:
@@ -162,12 +165,14 @@ class Registration:
         cost, best = cost[order], order[1][:, 0]
         weight = np.exp(calibration.components / 2.0 * (cost[:, :1] - cost))
         ambiguous = (cost[:, 1:] < cost[:, :1] + CLEAR_MARGIN).any(axis=1)
-        conditions = (unlike[rows, best] > 1.0, ambiguous, differ[rows, best] > MAX_DIFFERENCE_M)
-        place = position[rows, best]
+        place, of_place = position[rows, best], covariance[rows, best]
+        singular = ~(np.trace(of_place, axis1=1, axis2=2) > 0.0)  # nothing that is seen changes with the position
+        of_place[singular] = np.eye(2)
+        conditions = (singular | (unlike[rows, best] > 1.0), ambiguous, differ[rows, best] > MAX_DIFFERENCE_M)
         return Registered(
             place,
             yaw[rows, best],
-            covariance[rows, best],
+            of_place,
             yaw_std[rows, best],
             np.where(np.isfinite(cost)[..., None], position[order], np.nan),
             yaw[order],
