@@ -21,6 +21,7 @@ from deepgps.positioner.pixels import KnownPixels
 CANDIDATES, STARTS, START_DISTANCE_M = 128, 8, 0.4  # Images most alike, starts among these, distance of two [m]
 ROUNDS, SHARED_ROUNDS, STEP_M = 6, 2, 0.15  # Rounds from each start, with the same places, largest step of one [m]
 START_FEATURES = 96  # Features, the slowest, by which images are alike; other observations are by all
+LEAST_SLOPE = 1e-7  # Least eigenvalue of the derivatives' products, over the mean of both
 MODES, MODE_DISTANCE_M = 5, 0.5  # Modes that are kept, and the distance between two [m]
 PIXEL_MARGIN, CLEAR_MARGIN = 1.4, 1.0
 """Modes whose cost exceeds the best by less than this are compared by pixels, too; if by less than this, none is sure.
@@ -53,13 +54,17 @@ class Registered:
     mode: np.ndarray  # Positions that are as good or nearly, the best first (B, MODES, 2) [m]; NaN: there is none
     mode_yaw: np.ndarray  # Yaw of the robot there (B, MODES) [rad]; NaN where pixels are not compared
     weight: np.ndarray  # Probability of each (B, MODES)
-    unlike: np.ndarray  # The smaller of the two below (B,)
     reason: np.ndarray  # Number in ``REASONS`` (B,)
     near: np.ndarray  # Nearest training image (B,)
     unlike_features: np.ndarray  # Squared residual of the features over the largest that is usual (B,)
     # By the pixels (B,), NaN where none are compared:
     unlike_pixels: np.ndarray  # Squared residual of most pixels over the largest that is usual
     gain: np.ndarray  # Brightness over that of the training images
+
+    @property
+    def unlike(self) -> np.ndarray:
+        """The smaller of both residuals (B,): what is hidden spoils the features, and few pixels."""
+        return np.fmin(self.unlike_features, self.unlike_pixels)
 
     def move(self, position: np.ndarray, usual_m: float = 0.0) -> "Registered":
         """What this says of other positions (B, 2) [m] for the same images.
@@ -70,7 +75,8 @@ class Registered:
         away = position - self.position
         far = (self.reason == 0) & (np.linalg.norm(away, axis=1) > max(MAX_DIFFERENCE_M, usual_m))
         covariance = self.covariance + away[:, :, None] * away[:, None]
-        return replace(self, position=position, covariance=covariance, reason=np.where(far, 3, self.reason))
+        reason = np.where(far, REASONS.index("contradicting"), self.reason)
+        return replace(self, position=position, covariance=covariance, reason=reason)
 
 
 @dataclass(frozen=True)
@@ -113,7 +119,7 @@ class Registration:
 
         They are predicted from the nearest training images, or from those with numbers ``index`` (n, k).
         """
-        position, least = start.copy(), 1e-9 * np.eye(2)
+        position, eye = start.copy(), np.eye(2)
         for step in range(rounds + 1):
             if step == 0 or (index is None and step % SHARED_ROUNDS == 0 and step < rounds):
                 near = find_nearest(self.tree, position, NEIGHBOURS)[1] if index is None else index
@@ -123,8 +129,9 @@ class Registration:
             product = weights.both @ products @ np.swapaxes(weights.both, 1, 2)  # of minus the residual and derivatives
             slopes = product[:, 1:, 1:]
             mean, half = (slopes[:, 0, 0] + slopes[:, 1, 1]) / 2.0, (slopes[:, 0, 0] - slopes[:, 1, 1]) / 2.0
-            lift = np.maximum(np.hypot(half, slopes[:, 0, 1]) - mean, 0.0)  # rounding may leave less than nothing
-            inverse = np.linalg.inv(slopes + least + lift[:, None, None] * np.eye(2))
+            least = mean - np.hypot(half, slopes[:, 0, 1])  # eigenvalue, which rounding may leave below zero
+            lift = np.maximum(LEAST_SLOPE * np.abs(mean) + 1e-9 - least, 1e-9)
+            inverse = np.linalg.inv(slopes + lift[:, None, None] * eye)
             if step < rounds:
                 position -= limit((inverse @ product[:, 1:, :1])[..., 0], STEP_M)
         squared = np.maximum(product[:, 0, 0], 1e-6)
@@ -160,24 +167,21 @@ class Registration:
             with_pixels = np.full(cost.shape, np.inf)
             with_pixels[close] = cost[close] + np.log(found.spread)
             cost = with_pixels
-        unlike = np.fmin(unlike_features, unlike_pixels)  # what is hidden spoils the features, and few pixels
         order = (rows[:, None], np.argsort(cost, axis=1, kind="stable"))
         cost, best = cost[order], order[1][:, 0]
         weight = np.exp(calibration.components / 2.0 * (cost[:, :1] - cost))
         ambiguous = (cost[:, 1:] < cost[:, :1] + CLEAR_MARGIN).any(axis=1)
-        place, of_place = position[rows, best], covariance[rows, best]
-        singular = ~(np.trace(of_place, axis1=1, axis2=2) > 0.0)  # nothing that is seen changes with the position
-        of_place[singular] = np.eye(2)
-        conditions = (singular | (unlike[rows, best] > 1.0), ambiguous, differ[rows, best] > MAX_DIFFERENCE_M)
+        unlike = np.fmin(unlike_features, unlike_pixels)[rows, best]
+        conditions = (unlike > 1.0, ambiguous, differ[rows, best] > MAX_DIFFERENCE_M)
+        place = position[rows, best]
         return Registered(
             place,
             yaw[rows, best],
-            of_place,
+            covariance[rows, best],
             yaw_std[rows, best],
             np.where(np.isfinite(cost)[..., None], position[order], np.nan),
             yaw[order],
             weight / weight.sum(axis=1, keepdims=True),
-            unlike[rows, best],
             np.select(conditions, list(range(1, len(REASONS))), 0),
             find_nearest(self.tree, place, 1)[1][:, 0],
             unlike_features[rows, best],

@@ -67,11 +67,7 @@ def find_refused(run: Path, fields: Mapping[str, ErrorField], recording: Recordi
     images = np.concatenate([images[tuple(np.asarray(one.row).T)] for one, images in worst])[chosen]
     positioner = adapt(load_positioner(folder), drive)[0]
     assert isinstance(positioner, FeaturePositioner) and positioner.appearance is not None
-    known, found, images = (
-        positioner.appearance.registration,
-        positioner.register(images),
-        positioner.set_upright(images),
-    )
+    found, images = positioner.register(images), positioner.set_upright(images)
     assert found is not None
     doubtful, order = found.reason == REASONS.index("ambiguous"), []
     second = found.weight[:, 1:].max(axis=1, initial=0.0)
