@@ -13,6 +13,7 @@ from deepgps.robot_io.logs.containers import Log, open_log
 from deepgps.robot_io.logs.drive import MAX_CLOCK_ERROR_S, compare, find_starts, take_times
 from deepgps.robot_io.logs.messages import GAP_S, JOINT_STATE, ODOMETRY, POSE_KINDS
 from deepgps.robot_io.logs.pictures import COMPRESSED_IMAGE, RAW_IMAGE, decoder
+from deepgps.robot_io.logs.sample import Part, Sample
 from deepgps.terminal.progress import Report
 from sim.errors import InputError, shorten
 
@@ -51,12 +52,15 @@ def look(path: Path, progress: Report) -> str:
     """
     with open_log(path) as log:
         seen = {topic: Seen(kind) for topic, kind in sorted(log.types.items())}
-        for sample, part in log.show(list(seen), "look", progress):
+
+        def take(sample: Sample, part: Part) -> None:
             one = seen[sample.topic]
             one.log_ns.append(sample.log_ns)
             one.stamp_ns.append(sample.stamp_ns)
             if len(one.log_ns) <= FIRST_MESSAGES and one.kind in DECODED_TYPES:
                 _take_details(one, part.decode(sample))
+
+        log.feed(dict.fromkeys(seen, take), progress, "look")
         lines = [f"# {shorten(str(path), 300)}", *(f"# note: {note}" for note in log.notes), "#"]
         for topic, one in seen.items():
             lines += [f"# {line}" for line in _describe(topic, one)]

@@ -10,7 +10,7 @@ import numpy as np
 
 from deepgps.robot_io.logs.containers import Log
 from deepgps.robot_io.logs.robot_config import WheelConfig
-from deepgps.robot_io.logs.stored import Part, Sample
+from deepgps.robot_io.logs.sample import Part, Sample
 from sim.errors import InputError, quote
 from sim.geometry import wrap
 

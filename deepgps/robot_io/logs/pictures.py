@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from deepgps.robot_io.logs.containers import Log
-from deepgps.robot_io.logs.stored import Part, Sample
+from deepgps.robot_io.logs.sample import Part, Sample
 from sim.errors import InputError, one_line, quote
 
 RAW_IMAGE, COMPRESSED_IMAGE = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"

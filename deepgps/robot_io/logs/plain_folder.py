@@ -13,7 +13,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-from deepgps.robot_io.logs.stored import Sample
+from deepgps.robot_io.logs.sample import Sample
 from sim.errors import InputError, quote
 
 IMAGES, WHEELS, POSES, TIMES = "images", "wheels.csv", "poses.csv", "images.csv"

@@ -16,7 +16,6 @@ from deepgps.robot_io.logs.importing import import_log
 from deepgps.robot_io.logs.messages import open_wheels
 from deepgps.robot_io.logs.pictures import open_images
 from deepgps.robot_io.logs.robot_config import RobotConfig
-from deepgps.robot_io.logs.stored import explained
 from deepgps.terminal.progress import ignore
 from sim.errors import InputError
 from sim.recording.format import Recording, check_recording, has_truth, open_labels, open_recording, open_truth
@@ -230,23 +229,6 @@ def test_split_files_in_a_folder_are_one_log(notes: list[Note], tmp_path: Path) 
     (tmp_path / "log" / "._drive_0.mcap").write_bytes(b"\0\5\x16\7 of macOS")
     folder, _ = bring_in(tmp_path / "log", tmp_path)
     check_complete(folder)
-
-
-@slow
-@pytest.mark.parametrize("form", ["bag_lz4", "mcap_lz4", "db3"])
-def test_a_log_that_was_cut_off_gives_what_is_complete_and_says_so(
-    form: str, notes: list[Note], tmp_path: Path
-) -> None:
-    log = write_log(tmp_path / "log", notes, form)
-    file = next(log.glob("*.db3")) if log.is_dir() else log
-    with file.open("r+b") as stream:
-        stream.truncate(file.stat().st_size * 7 // 10)
-    folder, about = bring_in(log, tmp_path)
-    by_ticks, true = measure(folder)
-    assert 3 <= len(by_ticks) < len(LENGTHS_M)  # a bag is written in pieces of 1 MB, and the last one is lost
-    np.testing.assert_allclose(by_ticks, true, atol=0.003)
-    np.testing.assert_allclose(by_ticks[:2], LENGTHS_M[:2], atol=0.003)
-    assert about["notes"][0] == f"{file.name} is cut off: what is complete is read"
 
 
 def swap(_: int, note: Note) -> Note:
@@ -565,24 +547,6 @@ def test_a_topic_without_messages_is_refused(notes: list[Note], tmp_path: Path) 
         bring_in(log, tmp_path)
 
 
-def test_strange_files_are_refused(tmp_path: Path) -> None:
-    for name, data, message in (
-        ("a.txt", b"x", "a log is a .bag, .mcap or .db3 file, or a folder"),
-        ("a.mcap", b"no log at all", "cannot be read as a log: File magic is invalid"),
-        ("a.bag", b"", "cannot be read as a log: "),
-        ("log.bag.active", b"#ROSBAG V2.0\n", r"a killed recorder left this one: copy it without \.active"),
-        ("a.db3", b"SQLite format 3\0" + b"\1" * 200, "cut off so early that it names no topic"),
-    ):
-        (tmp_path / name).write_bytes(data)
-        with pytest.raises(InputError, match=message):
-            bring_in(tmp_path / name, tmp_path)
-    with pytest.raises(InputError, match="there is no such log"):
-        bring_in(tmp_path / "none.mcap", tmp_path)
-    (tmp_path / "empty").mkdir()
-    with pytest.raises(InputError, match=r"holds no log: neither \.bag, \.mcap or \.db3 files nor images"):
-        bring_in(tmp_path / "empty", tmp_path)
-
-
 def test_a_place_that_cannot_take_a_recording_is_refused_before_the_log_is_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -604,9 +568,3 @@ def test_a_place_that_cannot_take_a_recording_is_refused_before_the_log_is_read(
     ):
         with pytest.raises(InputError, match=f"{why}; a recording is written to a folder of its own"):
             import_log(tmp_path / "no log", configure(), out, ignore)
-
-
-def test_a_channel_in_a_foreign_encoding_is_named(tmp_path: Path) -> None:
-    message = "it has a channel in jsonschema, and only messages of ROS 2 are read"
-    with pytest.raises(InputError, match=message), explained(tmp_path / "log.mcap"):
-        raise KeyError("jsonschema")  # as rosbags does

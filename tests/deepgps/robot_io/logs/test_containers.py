@@ -1,0 +1,128 @@
+"""Containers: what is whole is read, a fault is named in one line with what mends it, and one spoils no other topic."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+import yaml
+from mcap.writer import Writer
+
+from deepgps.robot_io.logs.containers import open_log
+from deepgps.robot_io.logs.sample import explained
+from sim.errors import InputError
+from tests.helpers.robot_log import JOINTS, START_NS, Note, make_notes, write_log
+
+
+@pytest.fixture(scope="module")
+def notes() -> list[Note]:
+    """The messages of the first seconds but for pictures."""
+    return [one for one in make_notes("image/jpeg") if one.topic == JOINTS or one.log_ns < START_NS + 10**9]
+
+
+def read_all(log: Path) -> tuple[list[int], tuple[str, ...]]:
+    """Times of logging of all messages, and what is noted; each is decoded."""
+    with open_log(log) as opened:
+        samples = list(opened.read(list(opened.types)))
+        assert all(part.decode(sample) is not None for sample, part in samples)
+        return sorted(sample.log_ns for sample, _ in samples), opened.notes
+
+
+def check_refused(log: Path, message: str) -> None:
+    with pytest.raises(InputError, match=message) as caught:
+        read_all(log)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_database_needs_no_metadata(notes: list[Note], tmp_path: Path) -> None:
+    for form in ("db3_v5", "db3_zstd"):  # without definitions of types; compressed one by one
+        folder = write_log(tmp_path / form, notes, form)
+        whole, said = read_all(folder)
+        assert len(whole) == len(notes) and said == ()
+        about = folder / "metadata.yaml"
+        fits = about.read_text()
+        for text in ("", fits[:200], "\0" * 99, fits.replace(f"{form}.db3", "other.db3"), None):
+            about.unlink() if text is None else about.write_text(text)
+            found, said = read_all(folder)
+            assert found == whole and said == (
+                "metadata.yaml is missing or does not fit: the files are read without it",
+            )
+        values = yaml.safe_load(fits)
+        values["rosbag2_bagfile_information"]["version"] = 10
+        about.write_text(yaml.safe_dump(values))
+        assert read_all(folder) == (whole, ())
+
+
+def test_a_database_that_would_be_read_wrongly_is_refused(notes: list[Note], tmp_path: Path) -> None:
+    (file,) = write_log(tmp_path / "log", notes, "db3").glob("*.db3")
+    for name in ("a#1", "a?x", "a%20y"):
+        check_refused(Path(shutil.copy(file, tmp_path / f"{name}.db3")), "must be without #, . and %")
+    wal = file.with_name(f"{file.name}-wal")
+    wal.write_bytes(b"x")
+    check_refused(file, r"its last messages are in log\.db3-wal; sqlite3 log\.db3 'PRAGMA wal_checkpoint'")
+    wal.write_bytes(b"")
+    file.write_bytes(file.read_bytes()[:-5000])
+    check_refused(file, r"log\.db3 cannot be read as a log: .*may be mended by sqlite3 with \.recover")
+
+
+def test_an_mcap_is_read_to_its_last_whole_chunk_and_a_bag_is_not(notes: list[Note], tmp_path: Path) -> None:
+    many = [one for one in make_notes("image/jpeg") if one.log_ns < START_NS + 10 * 10**9]
+    log = write_log(tmp_path / "log", many, "mcap_lz4")
+    whole, size = log.read_bytes(), log.stat().st_size
+    for data in (whole[: size * 7 // 10], whole[: size * 7 // 10] + b"\0" * 50_000, whole[:-20]):
+        log.write_bytes(data)
+        found, (said,) = read_all(log)
+        times = [one.log_ns for one in many]
+        assert found == times[: len(found)] and len(found) > 0.3 * len(times)
+        assert said.startswith("log.mcap: ") and said.endswith(" It is read to its last whole chunk.")
+    log.write_bytes(whole[:3000])
+    check_refused(log, r"log\.mcap: .* No topic of ROS 2 is in its whole chunks")
+    bag = write_log(tmp_path / "log", notes, "bag")
+    bag.write_bytes(bag.read_bytes()[:-20])
+    check_refused(bag, r"log\.bag cannot be read as a log: .*may be mended by rosbag reindex")
+
+
+def test_a_bad_definition_spoils_its_topic_only(tmp_path: Path) -> None:
+    with (tmp_path / "log.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros2", library="test")
+        for topic, kind, text in (
+            ("/good", "a_msgs/msg/Good", "int32 x"),
+            ("/service", "a_msgs/srv/Odd_Event", "int64 a\n---\nint64 b"),
+            ("/lacking", "a_msgs/msg/Whole", "a_msgs/Part part"),
+            ("/standard", "std_msgs/msg/Int32", ""),
+        ):
+            schema = writer.register_schema(kind, "ros2msg", text.encode())
+            channel = writer.register_channel(topic, "cdr", schema)
+            writer.add_message(channel, 1, b"\0\1\0\0\7\0\0\0", 1)
+        writer.finish()
+    with open_log(tmp_path / "log.mcap") as log:
+        assert log.notes == (
+            "/service is left out: the definition of a_msgs/srv/Odd_Event cannot be parsed",
+            "/lacking is left out: the definition of a_msgs/msg/Whole cannot be parsed",
+        )
+        read = {sample.topic: part.decode(sample) for sample, part in log.read(list(log.types))}
+        assert (read["/good"].x, read["/standard"].data) == (7, 7) and len(read) == 2
+        with pytest.raises(InputError, match=r"wheels\.topic /service: the definition of .* cannot be parsed"):
+            log.check_topic("/service", "wheels.topic", ["sensor_msgs/msg/JointState"])
+
+
+def test_files_that_are_something_else_are_named(tmp_path: Path) -> None:
+    for data, message in (
+        (b"version https://git-lfs.github.com/spec/v1\noid sha256:1\n", r"is a Git LFS pointer \(git lfs pull\)"),
+        (b"\n<!DOCTYPE html>\n<html>", "is a web page in place of the file"),
+        (b"no log at all, but long enough to be one of some kind", "cannot be read as a log|No topic of ROS 2"),
+        (b"SQLite format 3\0" + b"\1" * 200, "cannot be read as a log|No topic of ROS 2"),
+    ):
+        for suffix in (".bag", ".mcap", ".db3"):
+            file = tmp_path / f"a{suffix}"
+            file.write_bytes(data)
+            check_refused(file, rf"a\{suffix}.*({message})")
+    for name, message in (("a.txt", "a log is a .bag, .mcap or .db3"), ("a.bag.active", "rosbag reindex")):
+        (tmp_path / name).write_bytes(b"x")
+        check_refused(tmp_path / name, message)
+    check_refused(tmp_path / "none.mcap", "there is no such log")
+    (tmp_path / "empty").mkdir()
+    check_refused(tmp_path / "empty", r"holds no log: neither \.bag, \.mcap or \.db3 files nor images")
+    message = r"/log\.mcap cannot be read as a log: /a: jsonschema"
+    with pytest.raises(InputError, match=message), explained(tmp_path / "log.mcap", "/a: "):
+        raise LookupError("jsonschema")
