@@ -2,47 +2,57 @@
 
 The drive is repeated, since a recording holds only its samples. Worker processes draw the pictures into parts, which
 stay if the work is interrupted. At last all messages are written in the order in which the recorder gets them, beside a
-description of the robot.
+description of the robot. Names, rates and habits are TurtleBot3's where it has them: a joint state holds the wheels'
+angles of the period before its stamp (turtlebot3_node joint_state.cpp).
 """
 
 import logging
-import os
 import re
+import shutil
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Sequence
+from contextlib import suppress
+from functools import lru_cache, partial
 from glob import escape
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
 
-from sim.errors import DamagedError, InputError
-from sim.files.atomic import PART, check_overwrite, check_space, list_files, lock, remove_files
-from sim.files.checksums import check_lines, read_json, write_json, write_lines
+from sim.errors import InputError
+from sim.files.atomic import PART, check_overwrite, check_space, list_files, only_process, remove_files
+from sim.files.checksums import check_lines, write_lines
+from sim.geometry import planar_pose
 from sim.recording.assemble import read_if_whole
 from sim.recording.format import Report, open_truth
 from sim.recording.renderers import Part, Renderers, count_renderers
 from sim.rng import stream
-from sim.robot.model import TRACK_M, WHEEL_RADIUS_M
-from sim.robot_log.content import JOINTS, list_topics
-from sim.robot_log.mcap_file import check_file, holds, write_mcap
+from sim.robot.model import TRACK_M, WHEEL_RADIUS_M, WHEELS
+from sim.robot.range_finder import ANGLE, REACH_M
+from sim.robot_log import mcap_file as mcap
+from sim.robot_log.mcap_file import BASE_FRAME, CAMERA_FRAME, MAP_FRAME, Topic
 from sim.robot_log.observe import (
-    PART_PICTURES,
+    COLUMNS,
+    RECORDER,
     ROWS,
-    Observed,
+    Clock,
+    Trace,
     TracedWorld,
     draw_part,
-    join,
     make_base_clock,
-    observe,
+    read_pictures,
     trace_drive,
 )
+from sim.rooms.spec import ROBOT_PREFIX
+from sim.sensors.camera.lens import make_lens
 from sim.sensors.camera.mount import draw_leans
-from sim.sensors.encoder import describe_odometry
+from sim.sensors.encoder import describe_odometry, read_encoders
 from sim.settings import ImageFaultSettings, SimSettings
 
-ROBOT_HEAD = "# The robot of a simulated log, for deepgps import.\n"
+PARTS = re.compile(r"picture-.+-\d{6}\.npz")  # Names of the files in the folder of an unfinished log
+PICTURE_BYTES = 40_000  # About the size of a picture
+log = logging.getLogger(__name__)
 
 
 def robot_file(log: Path) -> Path:
@@ -50,23 +60,12 @@ def robot_file(log: Path) -> Path:
     return log.with_suffix(".robot.yaml")
 
 
-def _check_robot(path: Path) -> None:
-    """Raise InputError if a robot's description is not as deepgps wrote it."""
-    check_overwrite(path, lambda data: ROBOT_HEAD.encode() in data)
-    try:
-        if path.exists():
-            check_lines(path)
-    except InputError:
-        raise InputError(
-            f"{path} was edited, or is of another format, and would be overwritten: move it away, or give the "
-            "log another name"
-        ) from None
-
-
 def check_log(path: Path, settings: SimSettings) -> None:
     """Raise InputError if a log of these settings, and the robot's description, cannot be written to these files."""
-    check_file(path)
-    _check_robot(robot_file(path))
+    if path.suffix != ".mcap":
+        raise InputError(f"{path}: the name of a log must end in .mcap")
+    check_overwrite(path, lambda _: mcap.read_key(path) is not None, 0)
+    check_overwrite(robot_file(path), lambda _: _is_own(robot_file(path)), 0)
     if settings.world != "room" or settings.sensor != "fisheye":
         raise InputError(f"--log {path}: a log needs world room and sensor fisheye, for its pictures")
     if settings.robot.mjcf is not None:
@@ -78,6 +77,14 @@ def check_log(path: Path, settings: SimSettings) -> None:
     }
     for name in (name for name, on in faults.items() if on):
         raise InputError(f"--log {path}: {name} applies to polar images, and a log holds raw ones; leave it out")
+
+
+def _is_own(file: Path) -> bool:
+    """Whether a description of a robot is as deepgps wrote it."""
+    with suppress(InputError):
+        check_lines(file)
+        return True
+    return False
 
 
 def write_robot(log: Path, settings: SimSettings) -> None:
@@ -105,12 +112,7 @@ def write_robot(log: Path, settings: SimSettings) -> None:
         "drive": {"spacing_m": settings.drive.spacing_m},
         "clocks": "align",
     }
-    write_lines(robot_file(log), ROBOT_HEAD + yaml.safe_dump(values, sort_keys=False))
-
-
-PARTS = re.compile(r"log\.json|picture-\d+\.npz")  # Names of the files in the folder of an unfinished log
-PICTURE_BYTES = 40_000  # About the size of a picture
-log = logging.getLogger(__name__)
+    write_lines(robot_file(log), yaml.safe_dump(values, sort_keys=False))
 
 
 def write_log(
@@ -130,96 +132,142 @@ def write_log(
     there is no renderer, physics failed, or the disk is full.
     """
     work = path.with_name(f"{path.name}.parts")
-    with _hold(work, path):
-        if holds(path, key):
+    with only_process(work):
+        if mcap.read_key(path) == key:
             log.warning("%s is complete already", path)
-            remove_files(work, PARTS)
-            return
-        for orphan in path.parent.glob(f"{escape(path.name)}.*{PART}"):  # of a process that was stopped while it wrote
-            orphan.unlink()
-        _keep_parts(work, key)
-        start = time.perf_counter()
-        world = TracedWorld(settings)
-        build_s = time.perf_counter() - start
-        seen = _drive(world, seed, recording, progress)
-        pictures = PICTURE_BYTES * len(seen.picture_time)  # each is first in a part and then in the log
-        check_space(path, pictures + max(pictures - sum(part.stat().st_size for part in list_files(work, PARTS)), 0))
-        parts = list(_lay_out(world.settings, seed, seen.picture_state, work))
-        with Renderers(draw_part, workers or count_renderers(len(seen.picture_time)), build_s) as renderers:
-            _draw(renderers, parts, progress)
-        topics = list_topics(seen, settings, seed, make_base_clock(seed), [part.path for part in parts])
-        write_robot(path, settings)
-        write_mcap(path, topics, key, lambda *done: progress("log write", *done))
+        else:
+            for orphan in path.parent.glob(f"*{escape(path.name)}.*{PART}*"):  # of a process that was stopped
+                shutil.rmtree(orphan) if orphan.is_dir() else orphan.unlink()
+            topics = _observe(path, work, settings, seed, recording, key, progress, workers)
+            write_robot(path, settings)
+            mcap.write_mcap(path, topics, key, lambda *done: progress("log write", *done))
         remove_files(work, PARTS)
 
 
-@contextmanager
-def _hold(work: Path, path: Path) -> Iterator[None]:
-    """Lock the folder of an unfinished log against other processes; a dead process holds no lock.
-
-    Raises InputError if another process writes this log, or the folder cannot be made.
-    """
-    try:
-        work.mkdir(parents=True, exist_ok=True)
-        folder = os.open(work, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    except OSError as error:
-        raise InputError(f"--log {path}: {work} cannot be made: {error.strerror}") from None
-    try:
-        if not lock(folder, work):
-            raise InputError(f"--log {path} is being written by another process")
-        yield
-    finally:
-        os.close(folder)
-
-
-def _keep_parts(work: Path, key: str) -> None:
-    """Keep the parts of an interrupted work on the same log, and say so; remove those of another log."""
-    mark, held = work / "log.json", None
-    with suppress(DamagedError):
-        held = read_json(mark).get("key")
-    pictures = any(path.name != mark.name for path in list_files(work, PARTS))
-    if held == key and pictures:
-        log.warning("%s holds the beginning of this log: it is continued", work)
-    elif held != key and pictures:
-        log.warning("%s holds the beginning of another log: this one is started again", work)
-        remove_files(work, PARTS)
-    write_json(mark, {"key": key})
-
-
-def _drive(world: TracedWorld, seed: int, recording: Path, progress: Report) -> Observed:
-    """Repeat the drive of a recording and observe it; raises InputError if the wheels turned otherwise there."""
-    base, seen, angle = make_base_clock(seed), list[Observed](), list[np.ndarray]()
-    wanted = world.settings.drive.samples + world.settings.grid.held_out
-    for stretch in trace_drive(world, seed):
-        seen.append(observe(world, stretch, base))
-        angle.append(stretch.wheel_angle)
-        progress("log drive", min(stretch.observations, wanted), wanted)
+def _observe(
+    path: Path, work: Path, settings: SimSettings, seed: int, recording: Path, key: str, progress: Report, workers
+) -> list[Topic]:
+    """Drive again and draw the pictures, but for parts of the same log that are there; return the topics."""
+    start = time.perf_counter()
+    world = TracedWorld(settings)
+    build_s = time.perf_counter() - start
+    trace, angle = trace_drive(world, seed, progress)
     recorded = open_truth(recording).wheel_angle
-    if not np.array_equal(np.concatenate(angle)[: len(recorded)], recorded):
+    if not np.array_equal(angle[: len(recorded)], recorded):
         raise InputError(
             f"{recording} holds another drive than its settings give on this machine, with these versions of the "
             "packages; make it again with --fresh, then its log can be made"
         )
-    return join(seen)
-
-
-def _lay_out(settings: SimSettings, seed: int, states: np.ndarray, work: Path) -> Iterator[Part]:
-    """Divide the pictures at states (n, nq) into parts."""
+    taken, states = trace.find(RECORDER, PICTURE_S)
     leans = draw_leans(settings.camera_mount, len(states), stream(seed, "log", "lean"))
+    parts = []
     for number, first in enumerate(range(0, len(states), PART_PICTURES)):
         rows = slice(first, first + PART_PICTURES)
-        path = work / f"picture-{number:06d}.npz"
-        yield Part(settings, states[rows], path, None if leans is None else leans[rows])
+        file = work / f"picture-{key}-{number:06d}.npz"
+        parts.append(Part(world.settings, states[rows], file, None if leans is None else leans[rows]))
+    whole = [part.path for part in parts if read_if_whole(part.path)]
+    for other in set(list_files(work, PARTS)) - set(whole):
+        other.unlink()
+    pictures = PICTURE_BYTES * len(states)  # each is first in a part and then in the log
+    check_space(path, pictures + max(pictures - sum(file.stat().st_size for file in whole), 0))
+    with Renderers(draw_part, workers or count_renderers(len(states)), build_s) as renderers:
+        for part in parts:
+            if part.path not in whole:
+                renderers.give(part)
+        total = len(parts) * PART_PICTURES
+        renderers.finish(lambda drawn: progress("log render", (len(whole) + drawn) * PART_PICTURES, total))
+    progress("log render", total, total)
+    camera = list_camera_topics(taken, settings, seed, [part.path for part in parts])
+    base = make_base_clock(seed)
+    return [*camera, *list_wheel_topics(trace, world, seed, base), *list_truth_topics(trace, seed)]
 
 
-def _draw(renderers: Renderers, parts: Sequence[Part], progress: Report) -> None:
-    missing = [part for part in parts if not read_if_whole(part.path)]
-    for part in missing:
-        renderers.give(part)
+JOINT_S, PICTURE_S, RAY_S, TRUTH_S = 0.05, 0.1, 0.2, 0.05
+"""Periods of the wheels (TurtleBot3: 20 Hz), the pictures, the rays and the truth [s]."""
+JOINTS = ("wheel_left_joint", "wheel_right_joint")
+JPEG_FORMAT = "rgb8; jpeg compressed bgr8"
+PART_PICTURES = 256
+RAY_HEIGHT_M = 0.1
+"""Height of the rays' frames above the floor; what they measure is the nearest at any height of the robot [m]."""
+BASE_LATENCY_S, PICTURE_LATENCY_S, TRUTH_LATENCY_S = (0.002, 0.002), (0.025, 0.005), (0.001, 0.0)
+"""How much later than its stamp a message is recorded: at least, and on average in addition [s]. A picture is
+compressed first."""
 
-    def tell(drawn: int) -> None:
-        progress("log render", (len(parts) - len(missing) + drawn) * PART_PICTURES, len(parts) * PART_PICTURES)
 
-    tell(0)
-    renderers.finish(tell)
-    tell(len(missing))
+def list_camera_topics(time: np.ndarray, settings: SimSettings, seed: int, parts: Sequence[Path]) -> list[Topic]:
+    """Pictures taken at times (n,) [s] and calibration, and once where the sensors are on the robot."""
+    camera, mount, lens = settings.camera, settings.camera_mount, make_lens(settings.camera)
+    stamp, logged = RECORDER.read(time), _arrive(time, PICTURE_LATENCY_S, seed, "picture")
+    # The camera's axes: to the right in the image is the robot's left, down in the image is its back.
+    frames = [(BASE_FRAME, CAMERA_FRAME, (mount.ahead_m, mount.left_m, camera.height_m), np.pi / 2)]
+    frames += [(BASE_FRAME, _ray_frame(ray), (0.0, 0.0, RAY_HEIGHT_M), angle) for ray, angle in enumerate(ANGLE)]
+    start = RECORDER.read(np.zeros(1))
+    read = lru_cache(maxsize=1)(read_pictures)  # rows are asked for in order
+
+    def take_picture(row: int) -> Any:
+        return mcap.make_compressed_image(
+            stamp[row], read(parts[row // PART_PICTURES])[row % PART_PICTURES], JPEG_FORMAT
+        )
+
+    def describe_camera(row: int) -> Any:
+        return mcap.make_camera_info(stamp[row], (ROWS, COLUMNS), lens.focal_length(ROWS / 2), lens.k)
+
+    return [
+        Topic("/tf_static", start, lambda row: mcap.make_transforms(start[row], frames)),
+        Topic("/camera/camera_info", logged, describe_camera),
+        Topic("/camera/image_raw/compressed", logged, take_picture),
+    ]
+
+
+def list_wheel_topics(trace: Trace, world: TracedWorld, seed: int, base: Clock) -> list[Topic]:
+    """Wheel angles by ticks, of which a reading that never arrives is missing, and rays, by the clock of these two."""
+    (joint_time, joint_state), (ray_time, ray_state) = (trace.find(base, period_s) for period_s in (JOINT_S, RAY_S))
+    encoder, rng = world.settings.encoder, stream(seed, "log", "encoder")
+    ticks, arrived = read_encoders(joint_state[:, find_wheels(world)], WHEEL_RADIUS_M, encoder, rng)
+    angle = ticks * (2 * np.pi / encoder.ticks_per_rev)
+    rim_mps = np.diff(angle, axis=0, prepend=angle[:1]) * (WHEEL_RADIUS_M / JOINT_S)
+    read = np.flatnonzero(arrived[:-1])
+    joint_time = joint_time[read + 1]
+    joint_stamp, ray_stamp = base.read(joint_time), base.read(ray_time)
+    fans = [world.ranges_at(pose).reshape(-1, len(ANGLE)).min(axis=0) for pose in planar_pose(ray_state)]
+
+    def read_joints(row: int) -> Any:
+        return mcap.make_joint_state(joint_stamp[row], JOINTS, angle[read[row]], rim_mps[read[row]])
+
+    def measure(ray: int, row: int) -> Any:
+        return mcap.make_range(ray_stamp[row], _ray_frame(ray), float(fans[row][ray]), REACH_M)
+
+    logged = _arrive(ray_time, BASE_LATENCY_S, seed, "ray")
+    rays = [Topic(f"/range/{_ray_frame(ray)}", logged, partial(measure, ray)) for ray in range(len(ANGLE))]
+    return [Topic("/joint_states", _arrive(joint_time, BASE_LATENCY_S, seed, "joint"), read_joints), *rays]
+
+
+def find_wheels(world: TracedWorld) -> list[int]:
+    """Where the left and the right wheel's angle are in the full position."""
+    return [world.model.joint(ROBOT_PREFIX + name).qposadr[0] for name in WHEELS]
+
+
+def list_truth_topics(trace: Trace, seed: int) -> list[Topic]:
+    """The truth, as a tracking system would record it on the same computer as the pictures."""
+    time, state = trace.find(RECORDER, TRUTH_S)
+    pose, stamp, logged = planar_pose(state), RECORDER.read(time), _arrive(time, TRUTH_LATENCY_S, seed, "truth")
+
+    def transform(row: int) -> Any:
+        x, y, yaw = pose[row].tolist()
+        return mcap.make_transforms(stamp[row], [(MAP_FRAME, BASE_FRAME, (x, y, 0.0), yaw)])
+
+    truth = Topic("/ground_truth/pose", logged, lambda row: mcap.make_pose(stamp[row], pose[row]))
+    return [truth, Topic("/tf", logged, transform)]
+
+
+def _ray_frame(ray: int) -> str:
+    """Name of a ray by its direction [deg]; as a name, with left and right in place of a sign."""
+    degrees = round(np.degrees(ANGLE[ray]))
+    return f"ray_{'right' if degrees < 0 else 'left'}_{abs(degrees):02d}"
+
+
+def _arrive(time_s: np.ndarray, latency_s: tuple[float, float], seed: int, name: str) -> np.ndarray:
+    """When messages of these times are recorded (n,) [ns], in their order."""
+    least_s, more_s = latency_s
+    late_s = least_s + more_s * stream(seed, "log", "delay", name).standard_exponential(len(time_s))
+    return np.maximum.accumulate(RECORDER.read(time_s + late_s))

@@ -1,142 +1,88 @@
-"""The messages of a log, their ROS 2 types, and the MCAP file that holds them."""
+"""The messages of a log, of types of ROS 2 Humble, and the MCAP file that holds them, written by rosbags."""
 
+import re
+import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
-from mcap.writer import Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
-from rosbags.typesys.store import Typestore
+from rosbags.typesys.stores import ros2_humble as ros
 
-from sim.errors import InputError
-from sim.files.atomic import check_overwrite, write_atomic
+from sim.files.atomic import write_atomic
 
 CAMERA_FRAME, BASE_FRAME, MAP_FRAME = "camera", "base_footprint", "map"
-
-
-@lru_cache(maxsize=1)
-def type_store() -> Typestore:
-    """The message types of ROS 2 Humble."""
-    return get_typestore(Stores.ROS2_HUMBLE)
+INFRARED = 1  # Kind of radiation in a message of a range
 
 
 def make_joint_state(ns: int, names: Sequence[str], angle: np.ndarray, rim_mps: np.ndarray) -> Any:
     """Wheel angles (2,) [rad]. As TurtleBot3's, ``velocity`` holds the speed of the rims (2,) [m/s], not rad/s."""
-    return _new(
-        "sensor_msgs/msg/JointState",
-        header=_header(ns, "base_link"),
-        name=list(names),
-        position=np.asarray(angle, float),
-        velocity=np.asarray(rim_mps, float),
-        effort=np.empty(0),
-    )
+    header = _header(ns, "base_link")
+    return ros.sensor_msgs__msg__JointState(header, list(names), angle.astype(float), rim_mps, np.empty(0))
 
 
 def make_compressed_image(ns: int, data: np.ndarray, form: str, frame: str = CAMERA_FRAME) -> Any:
     """An image as the bytes of a file (n,) uint8 of the format ``form``."""
-    return _new("sensor_msgs/msg/CompressedImage", header=_header(ns, frame), format=form, data=data)
+    return ros.sensor_msgs__msg__CompressedImage(_header(ns, frame), form, data)
 
 
 def make_camera_info(ns: int, shape: tuple[int, int], focal_px: float, k: Sequence[float]) -> Any:
     """The calibration of an equidistant lens with its centre in the middle of the image (rows, columns) [px]."""
-    (rows, columns), zero = shape, 0.0
-    column, row = (columns - 1) / 2, (rows - 1) / 2
-    matrix = [focal_px, zero, column, zero, focal_px, row, zero, zero, 1.0]
-    return _new(
-        "sensor_msgs/msg/CameraInfo",
-        header=_header(ns, CAMERA_FRAME),
-        height=rows,
-        width=columns,
-        distortion_model="equidistant",
-        d=np.array(k, float),
-        k=np.array(matrix),
-        r=np.eye(3).reshape(-1),
-        p=np.insert(np.array(matrix), (3, 6, 9), zero),
-        binning_x=0,
-        binning_y=0,
-        roi=_new("sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False),
-    )
+    column, row = (shape[1] - 1) / 2, (shape[0] - 1) / 2
+    matrix = np.array([[focal_px, 0.0, column], [0.0, focal_px, row], [0.0, 0.0, 1.0]])
+    projection = np.column_stack([matrix, np.zeros(3)]).reshape(-1)
+    matrices = np.array(k, float), matrix.reshape(-1), np.eye(3).reshape(-1), projection
+    whole = ros.sensor_msgs__msg__RegionOfInterest(0, 0, 0, 0, False)
+    return ros.sensor_msgs__msg__CameraInfo(_header(ns, CAMERA_FRAME), *shape, "equidistant", *matrices, 0, 0, whole)
 
 
 def make_range(ns: int, frame: str, distance_m: float, reach_m: float) -> Any:
     """The distance along one ray; as REP-117 asks, infinite if nothing is within reach."""
-    return _new(
-        "sensor_msgs/msg/Range",
-        header=_header(ns, frame),
-        radiation_type=1,  # infrared light
-        field_of_view=0.0,
-        min_range=0.0,
-        max_range=reach_m,
-        range=distance_m if distance_m < reach_m else np.inf,
-    )
+    distance_m = distance_m if distance_m < reach_m else np.inf
+    return ros.sensor_msgs__msg__Range(_header(ns, frame), INFRARED, 0.0, 0.0, reach_m, distance_m)
 
 
 def make_pose(ns: int, pose: np.ndarray) -> Any:
     """A planar pose (3,) in the frame of the map."""
-    return _new("geometry_msgs/msg/PoseStamped", header=_header(ns, MAP_FRAME), pose=_pose(pose))
+    return ros.geometry_msgs__msg__PoseStamped(_header(ns, MAP_FRAME), _pose(pose))
 
 
 def make_uncertain_pose(ns: int, pose: np.ndarray, covariance: np.ndarray) -> Any:
     """A planar pose (3,) in the frame of the map, with its covariance (3, 3) [m, m, rad]."""
     full, rows = np.zeros((6, 6)), [0, 1, 5]
     full[np.ix_(rows, rows)] = covariance
-    inner = _new("geometry_msgs/msg/PoseWithCovariance", pose=_pose(pose), covariance=full.reshape(-1))
-    return _new("geometry_msgs/msg/PoseWithCovarianceStamped", header=_header(ns, MAP_FRAME), pose=inner)
+    inner = ros.geometry_msgs__msg__PoseWithCovariance(_pose(pose), full.reshape(-1))
+    return ros.geometry_msgs__msg__PoseWithCovarianceStamped(_header(ns, MAP_FRAME), inner)
 
 
 def make_transforms(ns: int, frames: Sequence[tuple[str, str, Sequence[float], float]]) -> Any:
     """Transforms, each from a parent to a child frame: translation (3,) [m], and rotation about z [rad]."""
-    transforms = [
-        _new(
-            "geometry_msgs/msg/TransformStamped",
-            header=_header(ns, parent),
-            child_frame_id=child,
-            transform=_new(
-                "geometry_msgs/msg/Transform", translation=_vector(*place), rotation=_turn_about_z(float(yaw))
-            ),
-        )
-        for parent, child, place, yaw in frames
-    ]
-    return _new("tf2_msgs/msg/TFMessage", transforms=transforms)
-
-
-def _new(kind: str, **fields: Any) -> Any:
-    return type_store().types[kind](**fields)
+    transforms = []
+    for parent, child, place, yaw in frames:
+        moved = ros.geometry_msgs__msg__Transform(ros.geometry_msgs__msg__Vector3(*place), _turn_about_z(yaw))
+        transforms.append(ros.geometry_msgs__msg__TransformStamped(_header(ns, parent), child, moved))
+    return ros.tf2_msgs__msg__TFMessage(transforms)
 
 
 def _header(ns: int, frame: str) -> Any:
-    seconds, nanoseconds = divmod(int(ns), 10**9)
-    return _new(
-        "std_msgs/msg/Header",
-        stamp=_new("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds),
-        frame_id=frame,
-    )
+    return ros.std_msgs__msg__Header(ros.builtin_interfaces__msg__Time(*divmod(int(ns), 10**9)), frame)
 
 
 def _pose(pose: np.ndarray) -> Any:
-    x, y, yaw = map(float, pose)
-    return _new(
-        "geometry_msgs/msg/Pose",
-        position=_new("geometry_msgs/msg/Point", x=x, y=y, z=0.0),
-        orientation=_turn_about_z(yaw),
-    )
-
-
-def _vector(x: float, y: float, z: float) -> Any:
-    return _new("geometry_msgs/msg/Vector3", x=float(x), y=float(y), z=float(z))
+    x, y, yaw = pose.tolist()
+    return ros.geometry_msgs__msg__Pose(ros.geometry_msgs__msg__Point(x, y, 0.0), _turn_about_z(yaw))
 
 
 def _turn_about_z(yaw: float) -> Any:
-    return _new("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=float(np.sin(yaw / 2)), w=float(np.cos(yaw / 2)))
+    return ros.geometry_msgs__msg__Quaternion(0.0, 0.0, float(np.sin(yaw / 2)), float(np.cos(yaw / 2)))
 
 
-MAGIC = b"\x89MCAP0\r\n"
-LIBRARY = "deepgps "
-"""Beginning of the name of the writing program in the header of our files; a key of what they hold follows."""
-HEADER_BYTES = 256  # Bytes at the beginning of a file that hold its header
+KEY = "deepgps"
+"""Name of what was logged, among the data of its own that a file has in its metadata."""
+TAIL_BYTES = 1 << 24  # Metadata and index of a file are within these last bytes: they are 0.1 % of its size
 PROGRESS_STRIDE = 2000  # Messages between two reports of progress
 
 
@@ -149,67 +95,49 @@ class Topic:
     make: Callable[[int], Any]  # Makes a message by its number
 
 
-def check_file(path: Path) -> None:
-    """Raise InputError unless a log may be written to this path."""
-    if path.suffix != ".mcap":
-        raise InputError(f"{path}: the name of a log must end in .mcap")
-    check_overwrite(path, _is_ours, HEADER_BYTES)
-
-
-def holds(path: Path, key: str) -> bool:
-    """Whether a file is complete and was written with this key."""
+def read_key(path: Path) -> str | None:
+    """The key with which a file was written; None: there is no such file, or it is not one of ours."""
     if not path.is_file():
-        return False
+        return None
     with path.open("rb") as file:
-        return _is_ours(head := file.read(HEADER_BYTES)) and f"{LIBRARY}{key}".encode() in head
+        file.seek(max(path.stat().st_size - TAIL_BYTES, 0))
+        found = re.search(rb"custom_data:\s+%b: '?([^'\n]+)'?\n" % KEY.encode(), file.read())
+    return found and found[1].decode(errors="replace")
 
 
 def write_mcap(path: Path, topics: Sequence[Topic], key: str, progress: Callable[[int, int], None]) -> None:
-    """Write a file aside and rename it when it is complete; ``holds`` recognises it by the key.
+    """Write a file aside and rename it when it is complete; ``read_key`` finds the key in it.
 
     Of messages that were recorded at the same time, those of an earlier topic come first. Raises WorkError if the disk
     is full, or writing fails.
     """
 
     def write(part: Path) -> None:
-        with part.open("wb") as file:
-            _write(file, topics, key, progress)
+        bag = part.with_name(f"bag-{part.name}") / path.stem  # rosbags writes a folder with the file in it
+        try:
+            writer = Writer(bag, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin.MCAP)
+            writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+            writer.set_custom_data(KEY, key)
+            with writer:
+                _write(writer, topics, progress)
+            (bag / path.name).replace(part)
+        finally:
+            shutil.rmtree(bag.parent, ignore_errors=True)
 
     write_atomic(path, write)
 
 
-def _write(file: IO[bytes], topics: Sequence[Topic], key: str, progress: Callable[[int, int], None]) -> None:
-    writer, channels, store = Writer(file), _Channels(), type_store()
-    writer.start(profile="ros2", library=f"{LIBRARY}{key}")
+def _write(writer: Writer, topics: Sequence[Topic], progress: Callable[[int, int], None]) -> None:
+    store, connections = get_typestore(Stores.ROS2_HUMBLE), dict[str, Any]()
     logged = np.concatenate([topic.logged for topic in topics])
     owner = [one for one in topics for _ in one.logged]
-    number = np.concatenate([np.arange(len(topic.logged)) for topic in topics])
+    number = np.concatenate([np.arange(len(topic.logged)) for topic in topics]).tolist()
     for done, row in enumerate(np.argsort(logged, kind="stable").tolist()):
         if done % PROGRESS_STRIDE == 0:
             progress(done, len(logged))
-        one = owner[row]
-        message, ns = one.make(int(number[row])), int(logged[row])
-        data = bytes(store.serialize_cdr(message, message.__msgtype__))
-        writer.add_message(channels.find(writer, one.name, message.__msgtype__), ns, data, ns, int(number[row]))
-    writer.finish()
+        message, name = owner[row].make(number[row]), owner[row].name
+        kind = message.__msgtype__
+        if name not in connections:
+            connections[name] = writer.add_connection(name, kind, typestore=store)
+        writer.write(connections[name], int(logged[row]), store.serialize_cdr(message, kind))
     progress(len(logged), len(logged))
-
-
-class _Channels:
-    """Numbers of the topics in a file, which are registered with their types when they are first used."""
-
-    def __init__(self) -> None:
-        self._types, self._topics = dict[str, int](), dict[str, int]()
-
-    def find(self, writer: Writer, topic: str, kind: str) -> int:
-        if kind not in self._types:
-            text, _ = type_store().generate_msgdef(kind, ros_version=2)
-            self._types[kind] = writer.register_schema(name=kind, encoding="ros2msg", data=text.encode())
-        if topic not in self._topics:
-            number = writer.register_channel(topic=topic, message_encoding="cdr", schema_id=self._types[kind])
-            self._topics[topic] = number
-        return self._topics[topic]
-
-
-def _is_ours(head: bytes) -> bool:
-    return head.startswith(MAGIC) and LIBRARY.encode() in head

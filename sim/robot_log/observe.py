@@ -6,24 +6,22 @@ raw pictures, a file for each few hundred.
 """
 
 import zlib
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import mujoco
 import numpy as np
 
 from sim.files.checksums import read_arrays, write_arrays
-from sim.geometry import planar_pose
 from sim.recording.chunks import drive_chunk
+from sim.recording.format import Report
 from sim.recording.renderers import Part, UnsteadyError
 from sim.rng import stream
-from sim.robot.model import WHEELS
-from sim.robot.range_finder import ANGLE
 from sim.robot.world import RoomWorld
-from sim.rooms.spec import ROBOT_PREFIX
 from sim.sensors.camera.fisheye import Fisheye
 from sim.settings import DeploymentSettings, SimSettings
 
@@ -44,10 +42,10 @@ class Clock:
         """What it reads (...) int64 [ns since 1970] at times of the simulation (...) [s]."""
         return EPOCH_NS + np.rint((self.offset_s + np.asarray(time_s) * (1.0 + self.drift)) * 1e9).astype(np.int64)
 
-    def fire(self, period_s: float, first_s: float, last_s: float) -> np.ndarray:
-        """Times of the simulation [s], after ``first_s`` and up to ``last_s``, when a timer of this period fires."""
+    def fire(self, period_s: float, end_s: float) -> np.ndarray:
+        """Times of the simulation [s], after 0 and up to the end, when a timer of this period fires."""
         step_s = period_s / (1.0 + self.drift)
-        return np.arange(np.floor(first_s / step_s) + 1, np.floor(last_s / step_s) + 1) * step_s
+        return np.arange(1, np.floor(end_s / step_s) + 1) * step_s
 
 
 RECORDER = Clock()
@@ -65,114 +63,68 @@ class TracedWorld(RoomWorld):
 
     def __init__(self, settings: SimSettings, room: mujoco.MjSpec | None = None) -> None:
         super().__init__(settings.model_copy(update={"deployment": DeploymentSettings()}), room, drawn=False)
-        self.wheels = [self.model.joint(ROBOT_PREFIX + name).qposadr[0] for name in WHEELS]
-        self._kept: list[tuple[float, np.ndarray]] = []
+        self.kept: list[np.ndarray] = []  # Full position and time (nq + 1,) after each step
 
     def advance(self, steps: int) -> None:
         """Let physics pass by so many of its time steps."""
         for _ in range(steps):
             super().advance(1)
-            self._kept.append((self.data.time, self.data.qpos.copy()))
-
-    def take(self) -> tuple[np.ndarray, np.ndarray]:
-        """Times (n,) [s] and full positions (n, nq) of all steps since the last call."""
-        times, states = zip(*self._kept, strict=True)
-        self._kept = []
-        return np.array(times), np.array(states)
+            self.kept.append(np.append(self.data.qpos, self.data.time))
 
 
-@dataclass(frozen=True)
-class Stretch:
-    """A stretch of the drive, as long as a recording's chunk."""
+class Trace(NamedTuple):
+    """A drive at each step of the physics."""
 
-    begun: float  # Time at its beginning [s]
-    time: np.ndarray  # Time after each step of the physics (n,) [s]
+    time: np.ndarray  # Time after the step (n,) [s]
     state: np.ndarray  # Full positions then (n, nq)
-    observations: int  # Number of the recording's observations up to its end
-    wheel_angle: np.ndarray  # Wheel angles at the recording's readings in it (r, 2) [rad]
 
-    def find(self, clock: Clock, period_s: float) -> np.ndarray:
-        """Rows (m,) of the states when a timer of this period fires by a computer's clock."""
-        return np.searchsorted(self.time + 1e-6, clock.fire(period_s, self.begun, float(self.time[-1])))
+    def find(self, clock: Clock, period_s: float) -> tuple[np.ndarray, np.ndarray]:
+        """Times (m,) [s] and full positions (m, nq) when a timer of this period fires by a computer's clock."""
+        rows = np.searchsorted(self.time + 1e-6, clock.fire(period_s, float(self.time[-1])))
+        return self.time[rows], self.state[rows]
 
 
-def trace_drive(world: TracedWorld, seed: int) -> Iterator[Stretch]:
-    """Repeat the drive of the recording with the world's settings and this seed."""
+def trace_drive(world: TracedWorld, seed: int, progress: Report) -> tuple[Trace, np.ndarray]:
+    """Repeat the drive of the recording with the world's settings and this seed.
+
+    Returns also the wheel angles (r, 2) [rad] at the recording's readings.
+    """
     settings, rng = world.settings, stream(seed, "drive")
-    chunk, begun, driven = None, 0.0, 0
-    while driven < settings.drive.samples + settings.grid.held_out:
+    wanted, driven = settings.drive.samples + settings.grid.held_out, 0
+    chunk, steps, angle = None, list[np.ndarray](), list[np.ndarray]()
+    while driven < wanted:
         chunk = drive_chunk(world, settings, rng, chunk)
-        time, state = world.take()
+        steps.append(np.array(world.kept))
+        world.kept.clear()
+        angle.append(chunk["wheel_angle"])
         driven = int(chunk["observations"])
-        yield Stretch(begun, time, state, driven, chunk["wheel_angle"])
-        begun = float(time[-1])
-
-
-JOINT_S, PICTURE_S, RAY_S, TRUTH_S = 0.05, 0.1, 0.2, 0.05
-"""Periods of the wheels (TurtleBot3: 20 Hz), the pictures, the rays and the truth [s]."""
-
-
-@dataclass(frozen=True)
-class Observed:
-    """Readings with their times in the simulation [s]."""
-
-    joint_time: np.ndarray  # Times of the wheel angles (J,)
-    joint_angle: np.ndarray  # Left and right wheel angle (J, 2) [rad]
-    picture_time: np.ndarray  # Times of the pictures (P,)
-    picture_state: np.ndarray  # Full positions at them (P, nq)
-    ray_time: np.ndarray  # Times of the rays (Q,)
-    ray_m: np.ndarray  # Distance to what is nearest in each direction, at any height of the robot (Q, K) [m]
-    truth_time: np.ndarray  # Times of the true poses (T,)
-    truth_pose: np.ndarray  # True poses (T, 3) x, y [m], yaw [rad]
-
-
-def observe(world: TracedWorld, stretch: Stretch, base: Clock) -> Observed:
-    """Read everything in a stretch of the drive; ``base`` is the clock of the wheels and the rays."""
-    joint, ray = (stretch.find(base, period_s) for period_s in (JOINT_S, RAY_S))
-    picture, truth = (stretch.find(RECORDER, period_s) for period_s in (PICTURE_S, TRUTH_S))
-    fans = [world.ranges_at(pose).reshape(-1, len(ANGLE)) for pose in planar_pose(stretch.state[ray])]
-    return Observed(
-        joint_time=stretch.time[joint],
-        joint_angle=stretch.state[joint][:, world.wheels],
-        picture_time=stretch.time[picture],
-        picture_state=stretch.state[picture],
-        ray_time=stretch.time[ray],
-        ray_m=np.array([fan.min(axis=0) for fan in fans]).reshape(-1, len(ANGLE)),
-        truth_time=stretch.time[truth],
-        truth_pose=planar_pose(stretch.state[truth]),
-    )
-
-
-def join(parts: Sequence[Observed]) -> Observed:
-    """All readings of consecutive stretches."""
-    names = [field.name for field in fields(Observed)]
-    return Observed(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+        progress("log drive", min(driven, wanted), wanted)
+    step = np.concatenate(steps)
+    return Trace(step[:, -1], step[:, :-1]), np.concatenate(angle)
 
 
 ROWS, COLUMNS = 480, 640
 """Size of the image (TurtleBot3: 640 x 480); the round picture is as high and in its middle [px]."""
 FACE_PX = 160  # Side of the faces that it is drawn from: half of what would resolve each of its pixels, for speed
 QUALITY = 85
-PART_PICTURES = 256
-JPEG, END = "jpeg", "end"
 Sense = Callable[[np.ndarray, np.ndarray | None], np.ndarray]
-"""(state (nq,), lean of the camera (2,) [rad] or None) -> image (ROWS, COLUMNS, 3) RGB."""
+"""(state (nq,), lean of the camera (2,) [rad] or None) -> JPEG file (n,) uint8 of an image (ROWS, COLUMNS, 3)."""
 
 
 def draw_part(part: Part, beat: Callable[[], None]) -> None:
-    """Run in a worker: draw the pictures of a part's states and write their JPEG files, one after the other.
+    """Run in a worker: draw the pictures of a part's states and write their JPEG files.
 
     Raises UnsteadyError if a picture that was drawn twice came out different; nothing is written.
     """
-    sense = open_camera(part.settings)  # pyright: ignore[reportArgumentType] (frozen settings do hash)
-    files = []
-    for number in range(len(part.states)):
-        files.append(_take(sense, part, number))
+    sense, files = open_camera(part.settings), list[np.ndarray]()  # pyright: ignore[reportArgumentType] (frozen settings do hash)
+    leans = [None] * len(part.states) if part.leans is None else part.leans
+    for state, lean in zip(part.states, leans, strict=True):
+        files.append(sense(state, lean))
         beat()
     again = zlib.crc32(part.path.name.encode()) % max(len(files) - 1, 1)
-    if not np.array_equal(_take(sense, part, again), files[again]):
+    if not np.array_equal(sense(part.states[again], leans[again]), files[again]):
         raise UnsteadyError(f"{part.path}: picture {again} of {len(files)} was drawn twice and came out different")
-    write_arrays(part.path, {JPEG: np.concatenate(files), END: np.cumsum([len(file) for file in files])})
+    write_arrays(part.path, {f"{number}": file for number, file in enumerate(files)})
 
 
 @lru_cache(maxsize=1)
@@ -185,19 +137,12 @@ def open_camera(settings: SimSettings) -> Sense:
     def sense(state: np.ndarray, lean: np.ndarray | None) -> np.ndarray:
         data.qpos[:] = state
         mujoco.mj_kinematics(model, data)
-        return np.pad(camera.round(data, ROWS, lean), ((0, 0), (side, side), (0, 0)))
+        image = np.pad(camera.round(data, ROWS, lean), ((0, 0), (side, side), (0, 0)))
+        return cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1]
 
     return sense
 
 
 def read_pictures(path: Path) -> list[np.ndarray]:
     """The JPEG files of a part, each (n,) uint8; raises DamagedError."""
-    stored = read_arrays(path)
-    return np.split(stored[JPEG], stored[END][:-1])
-
-
-def _take(sense: Sense, part: Part, number: int) -> np.ndarray:
-    image = sense(part.states[number], None if part.leans is None else part.leans[number])
-    done, file = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
-    assert done
-    return file
+    return list(read_arrays(path).values())

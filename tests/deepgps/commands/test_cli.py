@@ -10,7 +10,7 @@ import pytest
 from deepgps.config.scenario import names_in
 from sim.files import STUDIES
 from sim.recording.format import check_recording, read_manifest
-from sim.robot_log.mcap_file import MAGIC
+from sim.robot_log.mcap_file import read_key
 from tests.helpers.command import MINI, arrays, assert_one_clear_line, deepgps, deepgps_here, wait_until
 
 ONE_LINE_ERRORS = [
@@ -91,7 +91,7 @@ def test_a_log_changes_nothing_in_the_recording(tmp_path):
     one, other = (read_manifest(tmp_path / name / "recording").sha256 for name in ("with", "without"))
     timed = {"use/manifest.json"}  # which says how long its drive took
     assert {name: one[name] for name in one.keys() - timed} == {name: other[name] for name in other.keys() - timed}
-    assert (tmp_path / "drive.mcap").read_bytes().startswith(MAGIC)
+    assert read_key(tmp_path / "drive.mcap")
     again = deepgps_here(*words, "with", "--log", "drive.mcap", cwd=tmp_path)
     assert "drive.mcap is complete already" in again.stderr
     (tmp_path / "drive.mcap").write_text("holiday")

@@ -3,23 +3,30 @@
 from collections import defaultdict
 from collections.abc import Callable
 from pathlib import Path
+from threading import Thread
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
+import hypothesis
 import numpy as np
 import pytest
 import yaml
+from hypothesis import given
+from hypothesis import strategies as st
 from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
 
 from sim.errors import InputError
-from sim.files.checksums import write_arrays, write_json
+from sim.files.atomic import PART
+from sim.files.checksums import write_arrays
 from sim.recording.collect import collect
 from sim.recording.format import open_recording, open_truth
 from sim.recording.renderers import Part
 from sim.robot.model import WHEEL_RADIUS_M
 from sim.robot_log import log as writing
 from sim.robot_log.log import check_log, robot_file, write_log, write_robot
-from sim.robot_log.observe import EPOCH_NS, Observed, make_base_clock
+from sim.robot_log.mcap_file import Topic, make_pose, read_key, write_mcap
+from sim.robot_log.observe import EPOCH_NS, Trace, make_base_clock
 from sim.settings import CameraMountSettings, DriveSettings, EncoderSettings, ImageFaultSettings, SimSettings
 
 SEED, SAMPLES = 3, 16
@@ -81,11 +88,15 @@ def times(log: Log, topic: str) -> np.ndarray:
     return (stamp / 1e9 - clock.offset_s) / (1 + clock.drift) if clock else stamp / 1e9
 
 
-def test_it_has_the_topics_of_such_a_robot(log):
+def test_it_has_the_topics_of_such_a_robot_and_its_description_names_them(path, log):
     rays = [topic for topic in log if topic.startswith("/range/ray_")]
     others = {"/joint_states", IMAGE, "/camera/camera_info", "/tf", "/tf_static", "/ground_truth/pose"}
     assert set(log) == others | set(rays)
     assert len(rays) == 29
+    robot = yaml.safe_load(robot_file(path).read_text())
+    wheels, camera, pose = (robot[name] for name in ("wheels", "camera", "pose"))
+    assert {wheels["topic"], camera["topic"], camera["info"], pose["topic"]} <= set(log)
+    assert log["/joint_states"][0].content.name == [wheels["left"], wheels["right"]]
     assert len(log[IMAGE]) == len(log["/camera/camera_info"]) == pytest.approx(len(log["/joint_states"]) / 2, abs=1.5)
 
 
@@ -121,12 +132,8 @@ def test_wheels_are_whole_ticks_of_the_period_before(log, recording):
     np.testing.assert_allclose(late, sensed.reading[1:, 2:], atol=12)  # 12 ticks: a physics step at full speed
     prompt = np.column_stack([np.interp(sensed.time[1:], time, wheel) for wheel in ticks.T])
     assert np.abs(prompt - sensed.reading[1:, 2:]).max() > 100
-
-
-def test_velocity_is_that_of_the_rims_as_turtlebot3_has_it(log):
-    angle = np.array([message.content.position for message in log["/joint_states"]])
-    speed = np.array([message.content.velocity for message in log["/joint_states"]])
-    np.testing.assert_allclose(np.diff(angle, axis=0) * WHEEL_RADIUS_M / 0.05, speed[1:], atol=1e-9)
+    rim_mps = np.array([message.content.velocity for message in log["/joint_states"]])  # as TurtleBot3 has it
+    np.testing.assert_allclose(np.diff(ticks, axis=0) * WHEEL_RADIUS_M / 0.05 * np.pi / 2048, rim_mps[1:], atol=1e-9)
 
 
 def test_the_truth_is_that_of_the_recording_and_the_same_on_both_topics(log, recording):
@@ -156,9 +163,9 @@ def test_a_ray_that_meets_nothing_is_infinite_and_each_has_its_frame(log):
 
 @pytest.mark.slow
 def test_it_has_the_same_bytes_on_any_number_of_cores(path, settings, recording, tmp_path):
-    write_log(tmp_path / "again.mcap", settings, SEED, recording, "key", quiet, workers=2)
-    assert (tmp_path / "again.mcap").read_bytes() == path.read_bytes()
-    assert {one.name for one in tmp_path.iterdir()} == {"again.mcap", "again.robot.yaml"}
+    write_log(tmp_path / path.name, settings, SEED, recording, "key", quiet, workers=2)
+    assert (tmp_path / path.name).read_bytes() == path.read_bytes()
+    assert list_names(tmp_path) == {"drive.mcap", "drive.robot.yaml"}
 
 
 class ToyRenderers:
@@ -174,19 +181,23 @@ class ToyRenderers:
         pass
 
     def give(self, part: Part) -> None:
-        count = len(part.states)
-        write_arrays(part.path, {"jpeg": np.arange(9 * count, dtype=np.uint8), "end": 9 * np.arange(1, count + 1)})
+        write_arrays(part.path, {f"{row}": np.full(9, row, np.uint8) for row in range(len(part.states))})
 
     def finish(self, tell: Callable[[int], None]) -> None:
         tell(0)
 
 
-def observe_toy() -> Observed:
-    """What is observed of a robot that drives ahead for ten seconds, with pictures and rays of the first one."""
-    fast, slow = np.arange(0.05, 10.0, 0.05), np.arange(0.1, 1.0, 0.1)
-    ahead = np.column_stack([0.2 * fast, np.zeros((len(fast), 2))])
-    angle = 6.0 * np.column_stack([fast, fast]) - 6.0 * fast[0]
-    return Observed(fast, angle, slow, np.zeros((len(slow), 9)), slow, np.ones((len(slow), 29)), fast, ahead)
+def trace_toy(*_: object) -> tuple[Trace, np.ndarray]:
+    """A robot that drives ahead for ten seconds; its wheels do not turn before they are read."""
+    time = np.arange(0.005, 10.0, 0.005)
+    state = np.zeros((len(time), 9))
+    state[:, 0], state[:, 3], state[:, 7:] = 0.2 * time, 1.0, 6.0 * np.maximum(time - 0.05, 0.0)[:, None]
+    return Trace(time, state), np.zeros((3, 2))
+
+
+def make_toy_world(settings: SimSettings) -> SimpleNamespace:
+    joints = SimpleNamespace(joint=lambda name: SimpleNamespace(qposadr=[7 + ("right" in name)]))
+    return SimpleNamespace(settings=settings, model=joints, ranges_at=lambda _: np.ones((2, 29)))
 
 
 Write = Callable[..., Path]
@@ -199,8 +210,9 @@ def write(
     """Writes the log of the drive, or of a toy of it, into a folder and returns its path."""
     recording = tmp_path
     if request.param == "toy":
-        monkeypatch.setattr(writing, "TracedWorld", lambda given: SimpleNamespace(settings=given))
-        monkeypatch.setattr(writing, "_drive", lambda *_: observe_toy())
+        monkeypatch.setattr(writing, "TracedWorld", make_toy_world)
+        monkeypatch.setattr(writing, "trace_drive", trace_toy)
+        monkeypatch.setattr(writing, "open_truth", lambda _: SimpleNamespace(wheel_angle=np.zeros((2, 2))))
         monkeypatch.setattr(writing, "Renderers", ToyRenderers)
     else:
         recording = request.getfixturevalue("recording")
@@ -217,45 +229,43 @@ def list_names(folder: Path) -> set[str]:
     return {path.name for path in folder.iterdir()}
 
 
-def test_interrupted_work_is_continued_and_says_so(write, tmp_path, caplog, monkeypatch):
+def test_interrupted_work_is_continued(write, tmp_path, monkeypatch):
     def stop(stage: str, *_: int) -> None:
         if stage == "log write":
             raise KeyboardInterrupt
 
     whole = write("whole")
-    with pytest.raises(KeyboardInterrupt):
-        write("cut", progress=stop)
+    for name in ("whole", "cut", "other"):
+        with pytest.raises(KeyboardInterrupt):
+            write("cut", name, progress=stop)
     assert not (tmp_path / "cut" / "a.mcap").exists()
-    part = tmp_path / "cut" / "a.mcap.parts" / "picture-000000.npz"
-    part.write_bytes(part.read_bytes()[:-100])
-    asked, there = [], sum(file.stat().st_size for file in part.parent.iterdir())
+    (part,) = (tmp_path / "cut" / "a.mcap.parts").iterdir()  # that of the last key
+    (tmp_path / "cut" / f"bag-a.mcap.1{PART}").mkdir()  # as a killed process leaves it
+    asked, there = [], part.stat().st_size
     monkeypatch.setattr(writing, "check_space", lambda _, needed: asked.append(needed))
-    path = write("cut")
+    path = write("cut", "other")
+    part.parent.mkdir()
+    part.write_bytes(b"damaged")
+    write("cut")
     pictures = writing.PICTURE_BYTES * len(read(path)[IMAGE])
-    assert asked == [2 * pictures - there]
-    assert "a.mcap.parts holds the beginning of this log: it is continued" in caplog.text
+    assert asked == [2 * pictures - there, 2 * pictures]
     assert path.read_bytes() == whole.read_bytes()
     assert list_names(path.parent) == {"a.mcap", "a.robot.yaml"}
 
 
-def test_two_processes_cannot_write_one_log(write):
+def test_two_processes_write_one_log_one_after_the_other(write, caplog):
+    second = []
+
     def write_again(stage: str, *_: int) -> None:
-        if stage == "log write":
-            with pytest.raises(InputError, match=r"--log .*a\.mcap is being written by another process"):
-                write("a", "other")
+        if stage == "log write" and not second:
+            second.append(Thread(target=write, args=("a",)))  # by a lock of its own, as another process
+            second[0].start()
 
     path = write("a", progress=write_again)
+    second[0].join()
     assert path.read_bytes() == write("b").read_bytes()
+    assert "is complete already" in caplog.text
     assert list_names(path.parent) == {"a.mcap", "a.robot.yaml"}
-
-
-def test_parts_of_another_log_are_not_used(write, tmp_path, caplog):
-    parts = tmp_path / "a" / "a.mcap.parts"
-    write_arrays(parts / "picture-000000.npz", {"jpeg": np.zeros(3, np.uint8), "end": np.array([3])})
-    write_json(parts / "log.json", {"key": "other"})
-    path = write("a")
-    assert "a.mcap.parts holds the beginning of another log: this one is started again" in caplog.text
-    assert path.read_bytes() == write("b").read_bytes()
 
 
 def test_a_complete_log_stays_and_one_of_other_settings_is_replaced(write, settings, caplog):
@@ -292,19 +302,6 @@ def test_a_log_in_the_place_of_another_has_pictures_of_its_own(settings, recordi
     assert not set(pictures[0]) & set(pictures[1])
 
 
-def test_the_description_of_the_robot_names_topics_of_the_log(path, log):
-    robot = yaml.safe_load(path.with_suffix(".robot.yaml").read_text())
-    topics = [robot["wheels"]["topic"], robot["camera"]["topic"], robot["camera"]["info"], robot["pose"]["topic"]]
-    assert set(topics) <= set(log)
-    assert log["/joint_states"][0].content.name == [robot["wheels"]["left"], robot["wheels"]["right"]]
-
-
-def test_a_foreign_description_is_kept(settings, recording, tmp_path):
-    (tmp_path / "a.robot.yaml").write_text("mine: 1")
-    with pytest.raises(InputError, match=r"a.robot.yaml exists, and deepgps did not write it"):
-        check_log(tmp_path / "a.mcap", settings)
-
-
 def test_the_log_of_another_drive_is_refused(settings, recording, tmp_path):
     with pytest.raises(InputError, match="holds another drive than its settings give"):
         write_log(tmp_path / "a.mcap", settings, SEED + 1, recording, "key", quiet, workers=1)
@@ -326,14 +323,37 @@ def test_what_cannot_be_logged_is_said_before_any_work(settings, tmp_path):
         assert content is None or (tmp_path / name).read_bytes() == content
 
 
-@pytest.mark.parametrize("edit", [lambda text: text + "# mine\n", lambda text: text.replace("estimate", "0.061")])
-def test_a_description_of_the_robot_that_was_edited_is_not_overwritten(settings, tmp_path, edit):
+def test_a_description_of_the_robot_that_was_edited_is_not_overwritten(settings, tmp_path):
     path = tmp_path / "a.mcap"
     for _ in range(2):  # what deepgps wrote may be written again
         check_log(path, settings)
         write_robot(path, settings)
     file = robot_file(path)
-    file.write_text(edited := edit(file.read_text()))
-    with pytest.raises(InputError, match=r"a\.robot\.yaml was edited, .* move it away, or give the log another name"):
-        check_log(path, settings)
-    assert file.read_text() == edited
+    for edited in (file.read_text() + "# mine\n", file.read_text().replace("estimate", "0.061"), "mine: 1"):
+        file.write_text(edited)
+        with pytest.raises(InputError, match=r"a\.robot\.yaml exists, and deepgps did not write it: .*move it away"):
+            check_log(path, settings)
+        assert file.read_text() == edited
+
+
+logs = st.lists(st.lists(st.integers(0, 10**18), max_size=5), min_size=1, max_size=4)
+
+
+@given(logs, st.from_regex("[0-9a-f]{1,8}", fullmatch=True))
+@hypothesis.settings(max_examples=20)
+def test_what_is_written_reads_back_the_same_and_the_key_is_found(tmp_path_factory, times, key):
+    make = lambda row: make_pose(row, np.array([row, 0.1, 0.2]))  # noqa: E731
+    topics = [Topic(f"/{name}", np.sort(np.array(logged, int)), make) for name, logged in enumerate(times)]
+    path = tmp_path_factory.mktemp("mcap") / "a.mcap"
+    write_mcap(path, topics, key, quiet)
+    assert read_key(path) == key
+    assert list_names(path.parent) == {"a.mcap"}
+    with AnyReader([path]) as reader:
+        found = [(one.topic, logged, bytes(raw)) for one, logged, raw in reader.messages()]
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    written = [
+        (one.name, int(logged), bytes(store.serialize_cdr(one.make(row), "geometry_msgs/msg/PoseStamped")))
+        for one in topics
+        for row, logged in enumerate(one.logged)
+    ]
+    assert found == sorted(written, key=lambda message: message[1])

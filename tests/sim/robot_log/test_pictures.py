@@ -71,4 +71,5 @@ def test_opencv_projects_as_the_camera_info_says():
 def test_a_picture_is_as_large_as_turtlebot3_s():
     settings = SimSettings(room=ROOM)
     state = RoomWorld(settings).rest_states(np.zeros((1, 3)))[0]
-    assert open_camera(settings)(state, None).shape == (ROWS, COLUMNS, 3)  # pyright: ignore[reportArgumentType]
+    file = open_camera(settings)(state, None)  # pyright: ignore[reportArgumentType]
+    assert np.asarray(cv2.imdecode(file, cv2.IMREAD_COLOR)).shape == (ROWS, COLUMNS, 3)

@@ -3,79 +3,84 @@
 import numpy as np
 import pytest
 
+from sim.geometry import planar_pose
 from sim.recording.chunks import drive_chunk
 from sim.recording.turns import KINDS
 from sim.rng import stream
 from sim.robot.model import TRACK_M, WHEEL_RADIUS_M
+from sim.robot.range_finder import REACH_M
 from sim.robot.world import RoomWorld
-from sim.robot_log.observe import Observed, TracedWorld, join, make_base_clock, observe, trace_drive
+from sim.robot_log.log import JOINT_S, PICTURE_S, RAY_S, find_wheels, list_wheel_topics
+from sim.robot_log.observe import RECORDER, Trace, TracedWorld, make_base_clock, trace_drive
 from sim.settings import DriveSettings, SimSettings
 from tests.helpers.small_room import furnished
 
 ARCS = SimSettings(drive=DriveSettings(samples=300, arcs=0.5))
+BASE = make_base_clock(0)
 
 
-def trace(settings: SimSettings, seed: int = 0) -> Observed:
-    world, base = TracedWorld(settings, furnished()), make_base_clock(seed)
-    return join([observe(world, stretch, base) for stretch in trace_drive(world, seed)])
+def trace(settings: SimSettings) -> tuple[TracedWorld, Trace, np.ndarray]:
+    world = TracedWorld(settings, furnished())
+    return world, *trace_drive(world, 0, lambda *_: None)
 
 
 @pytest.fixture(scope="module")
-def observed() -> Observed:
+def drive() -> tuple[TracedWorld, Trace, np.ndarray]:
     return trace(ARCS)
 
 
-def test_tracing_changes_no_bit_of_the_drive():
-    settings = SimSettings(drive=DriveSettings(samples=120))
-    world, traced, rng = RoomWorld(settings, furnished()), TracedWorld(settings, furnished()), stream(0, "drive")
-    stretches, chunk = list(trace_drive(traced, 0)), None
-    for stretch in stretches:
-        chunk = drive_chunk(world, settings, rng, chunk)
-        np.testing.assert_array_equal(stretch.wheel_angle, chunk["wheel_angle"])
-        at_samples = {state.tobytes() for state in stretch.state}
-        begun = stretch is stretches[0]  # whose first sample is before all steps
-        assert all(state.tobytes() in at_samples for state in chunk["state"][begun:])
-        assert stretch.observations == chunk["observations"]
+def test_tracing_changes_no_bit_of_the_drive_and_keeps_every_step(drive):
+    world, rng, chunk, angle = RoomWorld(ARCS, furnished()), stream(0, "drive"), None, []
+    _, found, wheel_angle = drive
+    kept = {state.tobytes() for state in found.state}
+    while chunk is None or chunk["observations"] < ARCS.drive.samples:
+        begun = chunk is None  # the first sample is before all steps
+        chunk = drive_chunk(world, ARCS, rng, chunk)
+        angle.append(chunk["wheel_angle"])
+        assert all(state.tobytes() in kept for state in chunk["state"][begun:])
+    assert len(angle) > 1
+    np.testing.assert_array_equal(wheel_angle, np.concatenate(angle))
+    np.testing.assert_allclose(np.diff(found.time), 0.005, atol=1e-9)
 
 
-def test_stretches_follow_each_other_without_a_gap():
-    world = TracedWorld(ARCS, furnished())
-    time = np.concatenate([stretch.time for stretch in trace_drive(world, 0)])
-    np.testing.assert_allclose(np.diff(time), 0.005, atol=1e-9)
+@pytest.mark.parametrize("clock", [RECORDER, BASE])
+def test_everything_is_read_at_its_rate_from_the_beginning_to_the_end(drive, clock):
+    _, found, _ = drive
+    for period_s in (JOINT_S, PICTURE_S, RAY_S):
+        time, state = found.find(clock, period_s)
+        np.testing.assert_allclose(np.diff(time), period_s, atol=0.0051)
+        assert time[0] < 2 * period_s
+        assert time[-1] > found.time[-1] - 2 * period_s
+        np.testing.assert_array_equal(state, found.state[np.isin(found.time, time)])
 
 
-@pytest.mark.parametrize(("name", "period_s"), [("picture", 0.1), ("joint", 0.05), ("ray", 0.2), ("truth", 0.05)])
-def test_everything_is_read_at_its_rate_from_the_beginning_to_the_end(observed, name, period_s):
-    time = getattr(observed, f"{name}_time")
-    np.testing.assert_allclose(np.diff(time), period_s, atol=0.0051)
-    assert time[0] < 2 * period_s
-    assert time[-1] > observed.truth_time[-1] - 2 * period_s
-
-
-def test_wheels_and_truth_tell_the_same_way(observed):
+def test_wheels_and_truth_tell_the_same_way(drive):
     """Odometry by the ideal wheel angles follows the true heading in turns and arcs, except for slip and contacts."""
-    turned = (observed.joint_angle[:, 1] - observed.joint_angle[:, 0]) * WHEEL_RADIUS_M / TRACK_M
-    truly = np.interp(observed.joint_time, observed.truth_time, np.unwrap(observed.truth_pose[:, 2]))
-    assert np.median(np.abs(np.diff(turned) - np.diff(truly))) < 0.002
+    world, found, _ = drive
+    _, state = found.find(BASE, JOINT_S)
+    wheels = state[:, find_wheels(world)]
+    turned = (wheels[:, 1] - wheels[:, 0]) * WHEEL_RADIUS_M / TRACK_M
+    assert np.median(np.abs(np.diff(turned) - np.diff(np.unwrap(planar_pose(state)[:, 2])))) < 0.002
 
 
-def test_arcs_are_driven_only_where_they_are_set(observed):
-    def count_arcs(seen: Observed) -> int:
-        left, right = (np.diff(seen.joint_angle, axis=0) * WHEEL_RADIUS_M).T
+def test_arcs_are_driven_only_where_they_are_set(drive):
+    def count_arcs(world: TracedWorld, found: Trace, _: np.ndarray) -> int:
+        wheels = found.find(BASE, JOINT_S)[1][:, find_wheels(world)]
+        left, right = (np.diff(wheels, axis=0) * WHEEL_RADIUS_M).T
         driven, turn = (left + right) / 2, (right - left) / TRACK_M
         bends = (np.abs(turn) > 0.5 * np.abs(driven)) & (np.abs(turn) < 4 * np.abs(driven)) & (np.abs(driven) > 0.005)
         return int((np.convolve(bends, np.ones(10)) >= 10).sum())  # half a second long
 
-    assert count_arcs(observed) > 10
-    assert count_arcs(trace(SimSettings(drive=DriveSettings(samples=300)))) == 0
+    assert count_arcs(*drive) > 10
+    assert count_arcs(*trace(SimSettings(drive=DriveSettings(samples=300)))) == 0
 
 
-def test_rays_are_the_nearest_of_the_range_finder(observed):
-    world = TracedWorld(ARCS, furnished())
-    at = np.searchsorted(observed.truth_time, observed.ray_time[7] - 0.01)
-    world.place(observed.truth_pose[at])
-    nearest = world.ranges().reshape(-1, observed.ray_m.shape[1]).min(axis=0)
-    np.testing.assert_allclose(np.median(np.abs(nearest - observed.ray_m[7])), 0, atol=0.02)
+def test_rays_are_the_nearest_of_the_range_finder(drive):
+    world, found, _ = drive
+    topics = list_wheel_topics(found, world, 0, BASE)
+    measured = [topic.make(7).range for topic in topics if topic.name.startswith("/range")]
+    nearest = world.ranges_at(planar_pose(found.find(BASE, RAY_S)[1][7])).reshape(-1, len(measured)).min(axis=0)
+    np.testing.assert_array_equal(measured, np.where(nearest < REACH_M, nearest, np.inf))
 
 
 def test_a_recording_knows_nothing_of_the_way_along_an_arc():
