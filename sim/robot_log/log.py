@@ -110,7 +110,7 @@ def write_robot(log: Path, settings: SimSettings) -> None:
         },
         "pose": {"topic": "/ground_truth/pose", "use": "truth"},
         "drive": {"spacing_m": settings.drive.spacing_m},
-        "clocks": "align",
+        "clocks": "logged",
     }
     write_lines(robot_file(log), yaml.safe_dump(values, sort_keys=False))
 

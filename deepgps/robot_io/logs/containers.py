@@ -29,7 +29,10 @@ from deepgps.terminal.progress import Report
 from sim.errors import InputError, one_line, shorten
 
 METADATA, ZSTD, ZSTD_MAGIC = "metadata.yaml", ".zstd", b"\x28\xb5\x2f\xfd"
-FOREIGN = {b"version https://git-lfs": "a Git LFS pointer (git lfs pull)", b"<": "a web page in place of the file"}
+OTHER_CONTENTS = {
+    b"version https://git-lfs": "a Git LFS pointer (git lfs pull)",
+    b"<": "a web page in place of the file",
+}
 """What other files begin with, and what they are."""
 MAX_RECORD_BYTES = 2**30
 STRIDE = 1000  # Messages between two reports of progress
@@ -236,7 +239,7 @@ def _check_file(file: Path) -> None:
     if file.is_file():
         with file.open("rb") as stream:
             head = stream.read(64).lstrip()
-        if kind := next((what for begin, what in FOREIGN.items() if head.startswith(begin)), None):
+        if kind := next((what for begin, what in OTHER_CONTENTS.items() if head.startswith(begin)), None):
             raise InputError(f"{name} is {kind}")
     wal = file.with_name(f"{file.name}-wal")
     if file.suffix == ".db3" and wal.is_file() and wal.stat().st_size:  # whose messages would be missed

@@ -9,8 +9,8 @@ import numpy as np
 
 from deepgps.robot_io.logs import plain_folder
 from deepgps.robot_io.logs.camera import CAMERA_INFO, read_info
+from deepgps.robot_io.logs.clocks import find_fault, take_logged, take_times
 from deepgps.robot_io.logs.containers import Log, open_log
-from deepgps.robot_io.logs.drive import MAX_CLOCK_ERROR_S, compare, find_starts, take_times
 from deepgps.robot_io.logs.messages import GAP_S, JOINT_STATE, ODOMETRY, POSE_KINDS
 from deepgps.robot_io.logs.pictures import COMPRESSED_IMAGE, RAW_IMAGE, decoder
 from deepgps.robot_io.logs.sample import Part, Sample
@@ -65,7 +65,8 @@ def look(path: Path, progress: Report) -> str:
         for topic, one in seen.items():
             lines += [f"# {line}" for line in _describe(topic, one)]
         plain = plain_folder.is_plain(path)
-        return "\n".join([*lines, "#", *_compare_clocks(seen), *_propose(log, seen, plain)])
+        verdict, clocks = _judge_clocks(seen)
+        return "\n".join([*lines, "#", f"# clocks: {verdict}", "#", *_propose(log, seen, plain), f"clocks: {clocks}"])
 
 
 def _take_details(one: Seen, message: Any) -> None:
@@ -141,7 +142,7 @@ def _propose(log: Log, seen: dict[str, Seen], plain: bool) -> list[str]:
     lines += ["  height_m: 0.35  # of the lens above the floor", "  forward_deg: 0  # the robot's front in the image"]
     if pose:
         lines += ["pose:", f"  topic: {pose}", "  use: truth"]
-    return [*lines, f"clocks: {'align' if _clocks_differ(seen, wheels, camera) else 'refuse'}"]
+    return lines
 
 
 def _find_wheels(seen: dict[str, Seen]) -> str | None:
@@ -189,18 +190,13 @@ def _find_pose(seen: dict[str, Seen]) -> str | None:
     return max(often, key=lambda topic: len(times[topic]), default=None)  # a goal is sent seldom
 
 
-def _compare_clocks(seen: dict[str, Seen]) -> list[str]:
-    wheels, camera = _find_wheels(seen), _find_camera(seen)
-    problem = _clocks_differ(seen, wheels, camera)
-    return (
-        [f"# {problem}: more than {1000 * MAX_CLOCK_ERROR_S:.0f} ms, so they must be aligned", "#"] if problem else []
-    )
-
-
-def _clocks_differ(seen: dict[str, Seen], wheels: str | None, camera: str | None) -> str | None:
-    if wheels is None or camera is None:
-        return None
-    two = [seen[topic] for topic in (wheels, camera)]
-    starts = find_starts([topic.log_ns for topic in two], [topic.stamp_ns for topic in two])
-    one, other = (take_times(topic, seen[topic].log_ns, seen[topic].stamp_ns, starts) for topic in (wheels, camera))
-    return compare(one, other)
+def _judge_clocks(seen: dict[str, Seen]) -> tuple[str, str]:
+    """The verdict on the clocks of wheels, camera and poses, in words, and the setting that it asks for."""
+    topics = [topic for topic in (_find_wheels(seen), _find_camera(seen), _find_pose(seen)) if topic]
+    if not topics:
+        return "no wheels and no camera", "checked"
+    times, _, _ = take_times({topic: (seen[topic].log_ns, seen[topic].stamp_ns) for topic in topics})
+    fault, unfit = find_fault(times), next(filter(None, (take_logged(one)[1] for one in times)), None)
+    if fault is None:
+        return f"one clock, without jumps, for {', '.join(topics)}", "checked"
+    return (f"{fault}; {unfit}", "checked") if unfit else (f"{fault}; the times of logging advance evenly", "logged")

@@ -265,8 +265,10 @@ def describe(config: RobotConfig, source: PolarSource, drive: LoggedDrive, train
         "wheels_topic": config.wheels.topic,
         "camera_topic": source.topic,
         "pose_topic": config.pose.topic if config.pose else None,
-        "offset_s": {topic: None if np.isnan(value) else round(value, 6) for topic, value in drive.offset_s.items()},
-        "start_ns": drive.start_ns,
+        "offset_s": {
+            topic: None if np.isnan(value) else round(value, 6) for topic, value in drive.clocks.offset_s.items()
+        },
+        "start_ns": drive.clocks.start_ns,
         "duration_s": round(float(np.ptp(drive.wheels.time_s)), 3),
         "camera": _describe_camera(config, source),
         "images": len(drive.image_s),

@@ -125,9 +125,16 @@ class RobotConfig(Group):
     camera: CameraConfig
     pose: PoseConfig | None = None
     drive: DriveConfig = DriveConfig()
-    clocks: Literal["refuse", "align"] = "refuse"
-    """What to do if the clocks of wheels and camera differ by more than 50 ms, or jump: refuse the log, or align them
-    by the times at which messages were logged."""
+    clocks: Literal["checked", "logged"] = "checked"
+    """checked: the stamps of messages count, and the log is refused where clocks differ by more than 50 ms or jump;
+    logged: the times at which messages were logged count."""
+
+    @field_validator("clocks", mode="before")
+    @classmethod
+    def _clocks_are_not_aligned(cls, value: Any) -> Any:
+        if value == "align":
+            raise ValueError("'align': clocks are not aligned; logged takes the times of logging")
+        return "checked" if value == "refuse" else value
 
 
 def load_config(path: Path) -> RobotConfig:

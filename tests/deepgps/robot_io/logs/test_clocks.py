@@ -1,63 +1,137 @@
-"""One time for several topics: a message that is logged far from all others changes nothing, and costs no memory."""
+"""The rule of clocks on arrays: what shares one clock is used as it is stamped, a few outliers are left out, and the
+rest is refused; the times of logging count only where they advance as the stamps do."""
 
-import tracemalloc
-from collections.abc import Iterator
-from contextlib import contextmanager
+import re
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from deepgps.robot_io.logs.drive import Aligned, Times, align
+from deepgps.robot_io.logs.clocks import choose_times
+from sim.errors import InputError
 
-PERIOD_S, DRIVE_S = 0.05, 200.0
-
-
-@contextmanager
-def at_most(megabytes: float) -> Iterator[None]:
-    tracemalloc.start()
-    try:
-        yield
-        assert tracemalloc.get_traced_memory()[1] < megabytes * 1e6
-    finally:
-        tracemalloc.stop()
+START_NS, DRIVE_S = 1_700_000_000 * 10**9, 40.0
+PERIOD_S = {"wheels": 0.05, "camera": 0.1}
+TRUE = {topic: np.arange(0.03, DRIVE_S, period_s) for topic, period_s in PERIOD_S.items()}
 
 
-def make_topics(apart_s: float, set_back_s: float, far_s: float | None = None) -> list[Times]:
-    """Wheels and a camera whose clocks differ, one of which is set back; one message is logged far from the others."""
-    log_s = np.arange(0.0, DRIVE_S, PERIOD_S)
-    wheels_s = log_s - 0.003 - set_back_s * (log_s > DRIVE_S / 2)
-    camera_s = log_s - 0.01 - apart_s
-    if far_s is not None:
-        log_s, wheels_s, camera_s = (np.append(values, far_s) for values in (log_s, wheels_s, camera_s))
-    return [Times("wheels", log_s, wheels_s), Times("camera", log_s, camera_s)]
+def make(**changes: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Times of logging and stamps [ns] with delays of some ms; a change is added to the stamps of its topic [s]."""
+    rng, logs = np.random.default_rng(0), {}
+    for topic, time_s in TRUE.items():
+        logged_s = np.maximum.accumulate(time_s + 0.003 + rng.exponential(0.002, len(time_s)))
+        stamp_s = time_s + changes.get(topic, 0.0)
+        logs[topic] = tuple(START_NS + np.rint(1e9 * one).astype(np.int64) for one in (logged_s, stamp_s))
+    return logs
 
 
-def align_all(topics: list[Times]) -> Aligned:
-    with at_most(megabytes=10):
-        return align(topics, may_align=True)
+def change(topic: str, begin_s: float, end_s: float, by_s: float) -> dict[str, np.ndarray]:
+    time_s = TRUE[topic]
+    return {topic: by_s * ((time_s >= begin_s) & (time_s < end_s))}
 
 
-@pytest.mark.parametrize("far_s", [-1e8, 1e8, 1e8 + 3.0], ids=["before", "after", "within a stretch"])
-@pytest.mark.parametrize(("apart_s", "set_back_s"), [(0.0, 0.0), (3.0, 0.0), (-3.0, 0.0), (0.0, 0.4)])
-def test_a_message_logged_years_from_the_others_changes_nothing(
-    apart_s: float, set_back_s: float, far_s: float
+def check_times(logs: dict, logged: bool, within_s: float = 0.02, lost: int = 0) -> None:
+    """All times but some are the true ones, but for a constant of the topic."""
+    for topic, time_s in choose_times(logs, logged).time_s.items():
+        error_s = time_s - TRUE[topic]
+        assert np.isnan(error_s).sum() <= lost
+        assert np.nanmax(np.abs(error_s - np.nanmedian(error_s))) <= within_s
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    st.sampled_from(sorted(TRUE)),
+    st.floats(1.0, DRIVE_S - 2.0),
+    st.floats(0.4, 60.0),
+    st.sampled_from((-1, 1)),
+    st.floats(0.06, 9.0),
+)
+def test_a_clock_that_is_set_or_jumps_for_a_while_is_refused_and_times_of_logging_are_right(
+    topic: str, begin_s: float, for_s: float, sign: int, by_s: float
 ) -> None:
-    usual = align_all(make_topics(apart_s, set_back_s))
-    found = align_all(make_topics(apart_s, set_back_s, far_s))
-    assert found.by_log == usual.by_log and len(found.notes) == len(usual.notes)
-    for topic, time_s in usual.time_s.items():
-        np.testing.assert_allclose(found.time_s[topic][:-1], time_s, atol=0.011)
+    """Also within the first ten seconds, and in a burst of a few messages."""
+    logs = make(**change(topic, begin_s, begin_s + for_s, sign * by_s))
+    way = "ahead" if sign > 0 else "back"
+    said = rf"the clock of {topic} is set {way} by ([\d.]+) s at ([\d.]+) s.*; clocks: logged takes"
+    with pytest.raises(InputError, match=said) as caught:
+        choose_times(logs, False)
+    found = re.match(said, str(caught.value))
+    assert found
+    size_s, at_s = map(float, found.groups())
+    assert abs(size_s - by_s) < 0.02 and abs(at_s - begin_s) < 0.2
+    check_times(logs, True)
 
 
-def test_a_clock_that_is_set_ahead_changes_times_near_the_jump_only() -> None:
-    usual, found = align_all(make_topics(0.0, 0.0)), align_all(make_topics(0.0, -2.0))
-    apart = np.abs(found.time_s["wheels"] - usual.time_s["wheels"])
-    assert np.isfinite(apart).mean() > 0.5 and np.nanmax(apart) < 0.02
+@given(st.sampled_from((-1, 1)), st.floats(0.5, 1e8), st.floats(-1e-4, 1e-4))
+def test_clocks_apart_are_refused_and_times_of_logging_are_right(sign: int, apart_s: float, drift: float) -> None:
+    logs = make(camera=sign * apart_s + drift * TRUE["camera"])
+    with pytest.raises(InputError, match=r"the clock of camera differs from that of wheels by [+-]\d+"):
+        choose_times(logs, False)
+    check_times(logs, True)
 
 
-@pytest.mark.parametrize("stamp", ["constant", "in ms"])
-def test_stamps_that_do_not_advance_are_none(stamp: str) -> None:
-    log_s = np.arange(0.0, DRIVE_S, PERIOD_S)
-    stamp_s = np.zeros(len(log_s)) if stamp == "constant" else log_s * 1e-6
-    assert not Times("camera", log_s, stamp_s).is_stamped
-    assert Times("camera", log_s, log_s - 0.01).is_stamped
+@given(st.lists(st.integers(5, 390), min_size=1, max_size=4, unique=True), st.floats(0.2, 1e8), st.booleans())
+def test_a_few_outliers_are_left_out_with_their_number(rows: list[int], by_s: float, ahead: bool) -> None:
+    rows = [row for row in rows if not {row - 1, row - 2} & {*rows}]
+    stamp = np.zeros(len(TRUE["camera"]))
+    stamp[rows] = by_s if ahead else -by_s
+    logs = make(camera=stamp)
+    (note,) = choose_times(logs, False).notes
+    assert note.startswith(f"camera: {len(rows)} messages are left out")
+    check_times(logs, False, 1e-6, len(rows))
+
+
+def test_many_outliers_are_refused() -> None:
+    stamp = np.zeros(len(TRUE["camera"]))
+    stamp[10:200:20] = 4.0
+    with pytest.raises(InputError, match=r"camera: 10 of 400 messages are stamped otherwise than .*, first at 1\.0 s"):
+        choose_times(make(camera=stamp), False)
+
+
+@given(st.floats(0.05, 1.0), st.floats(-5.0, 5.0))
+def test_a_slow_simulation_is_one_clock_and_its_times_of_logging_are_refused(factor: float, start_s: float) -> None:
+    logs = make()
+    slow = {
+        topic: (START_NS + ((log - START_NS) / factor).astype(np.int64), stamp) for topic, (log, stamp) in logs.items()
+    }
+    check_times(slow, False, 1e-6)
+    if factor < 0.4:
+        with pytest.raises(InputError, match="clocks: logged: wheels: times of logging and stamps advance differently"):
+            choose_times(slow, True)
+
+
+@given(st.integers(2, 40), st.booleans())
+def test_messages_that_arrive_in_bursts_keep_their_stamps(size: int, reverse: bool) -> None:
+    """They are held up, and the last of them arrives at its time; in any order."""
+    logs = make()
+    log, stamp = logs["wheels"]
+    together = np.arange(len(log)) // size
+    last = np.maximum.reduceat(log, np.flatnonzero(np.diff(together, prepend=-1)))[together]
+    held = np.arange(len(log)) % size
+    logs["wheels"] = last + (100_000 * (size - held if reverse else held)), stamp
+    for logged in (False, True):
+        check_times(logs, logged)
+
+
+def test_without_stamps_only_times_of_logging_count() -> None:
+    for none in (lambda stamp: 0 * stamp, lambda stamp: 0 * stamp + START_NS, lambda stamp: stamp // 10**6):
+        logs = make()
+        log, stamp = logs["camera"]
+        logs["camera"] = log, none(stamp)
+        with pytest.raises(
+            InputError, match="camera: most messages have no stamp, or stamps do not advance; clocks: l"
+        ):
+            choose_times(logs, False)
+        check_times(logs, True, 0.03)
+    logs["camera"] = START_NS + (log - START_NS) // 10**9 * 10**9, 0 * stamp
+    with pytest.raises(InputError, match="clocks: logged: camera: messages without stamps were logged in bursts"):
+        choose_times(logs, True)
+
+
+@pytest.mark.parametrize("far_s", [-1e8, 1e8])
+def test_a_message_logged_years_from_the_others_changes_nothing(far_s: float) -> None:
+    logs = make()
+    log, _ = logs["wheels"]
+    log[300] += int(far_s * 1e9)
+    check_times(logs, False, 1e-6, 1)

@@ -1,0 +1,221 @@
+"""One time for all topics of a log, by the stamps of their messages.
+
+A message's delay is when it was logged minus its stamp. Messages that were logged together were held up on their way,
+and only the one with the least delay tells the clock; of the others, stamps must lie between it and the one before.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from scipy.ndimage import median_filter, minimum_filter
+
+from sim.errors import InputError
+
+MAX_STEP_S = 0.05  # Largest change of a delay, and difference between clocks, that goes unnoticed [s]
+MAX_OUTLIER_SHARE = 0.01
+TREND_MESSAGES = 21  # Messages whose median slope is the delay's local trend
+GROUP_SHARE = 0.25  # Of the usual time between messages; those that are logged sooner after another were held up
+NS = 1e-9
+MIN_CLOCK_RATE = 0.01
+"""Stamps that advance by less than this part of the time of logging are none: constant, or in another unit."""
+
+
+@dataclass(frozen=True)
+class Times:
+    """Times of a topic's messages, in the order of the files."""
+
+    topic: str  # The topic
+    log_s: np.ndarray  # When each was logged (n,) [s], from the first message of the log
+    stamp_s: np.ndarray  # Its stamp (n,) [s], from the first stamp of the log; NaN where it is missing
+
+    @property
+    def late_s(self) -> np.ndarray:
+        """Delays (n,) [s], but for a constant of the log."""
+        return self.log_s - self.stamp_s
+
+    @cached_property
+    def is_stamped(self) -> bool:
+        """Whether most messages have a stamp, and stamps advance."""
+        known = np.isfinite(self.stamp_s)
+        if 2 * known.sum() <= len(known):
+            return False
+        stamped_s, logged_s = (np.ptp(np.percentile(values[known], (10, 90))) for values in (self.stamp_s, self.log_s))
+        return bool(stamped_s >= MIN_CLOCK_RATE * logged_s)
+
+    @cached_property
+    def period_s(self) -> float:
+        """Usual time between messages [s]."""
+        return float(np.ptp(np.percentile(self.log_s, (5, 95)))) / max(0.9 * len(self.log_s), 1)
+
+    @cached_property
+    def prompt(self) -> np.ndarray:
+        """Numbers of the stamped messages that were not held up, in the order of logging (k,)."""
+        return self._groups[0]
+
+    @cached_property
+    def unordered(self) -> np.ndarray:
+        """Mask (n,) of messages without a stamp, or that were held up and whose stamp cannot be right."""
+        rows, known, group = self._groups
+        after = self.stamp_s[rows]
+        before = np.concatenate([[-np.inf], after])[:-1]
+        stamp, wrong = self.stamp_s[known], np.ones(len(self.log_s), bool)
+        wrong[known] = (stamp < before[group] - MAX_STEP_S) | (stamp > after[group] + MAX_STEP_S)
+        wrong[rows] = False
+        return wrong
+
+    @cached_property
+    def _groups(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The prompt message of each group that was logged together, all stamped ones, and their groups."""
+        order = np.argsort(self.log_s, kind="stable")
+        known = order[np.isfinite(self.stamp_s[order])]
+        begins = np.diff(self.log_s[known], prepend=-np.inf) > GROUP_SHARE * self.period_s
+        group = np.cumsum(begins) - 1
+        by_delay = np.lexsort((self.late_s[known], group))
+        return known[by_delay[begins]], known, group
+
+    def find_changes(self, rows: np.ndarray) -> np.ndarray:
+        """Changes of the delay from one of some messages (k,) to the next, without its local trend (k - 1,) [s]."""
+        change, seconds = np.diff(self.late_s[rows]), np.diff(self.log_s[rows])
+        return change - median_filter(change / seconds, TREND_MESSAGES, mode="nearest") * seconds
+
+    @cached_property
+    def outlier(self) -> np.ndarray:
+        """Mask (n,) of the messages whose delay differs from that of both neighbours."""
+        found, change = self.unordered.copy(), self.find_changes(self.prompt)
+        if len(change):
+            before, after = np.r_[-change[0], change], np.r_[change, -change[-1]]
+            found[self.prompt] = (np.abs(before - after) > 2 * MAX_STEP_S) & (np.abs(before + after) <= MAX_STEP_S)
+        return found
+
+    @cached_property
+    def plausible(self) -> np.ndarray:
+        """Numbers of the prompt messages that are no outliers (k,)."""
+        return self.prompt[~self.outlier[self.prompt]]
+
+    def find_fault(self) -> str | None:
+        """What is wrong with the stamps, in words; None: nothing but a few outliers."""
+        if not self.is_stamped:
+            return f"{self.topic}: most messages have no stamp, or stamps do not advance"
+        count, rows = int(self.outlier.sum()), self.plausible
+        if count > max(MAX_OUTLIER_SHARE * len(self.log_s), 1):
+            return (
+                f"{self.topic}: {count} of {len(self.log_s)} messages are stamped otherwise than their neighbours, "
+                f"first at {self.log_s[self.outlier].min():.1f} s"
+            )
+        change = self.find_changes(rows)
+        steps = np.flatnonzero(np.abs(change) > MAX_STEP_S)
+        if not len(steps):
+            return None
+        size, at_s = change[steps[0]], self.log_s[rows[steps[0] + 1]]
+        how = f"{'back' if size > 0 else 'ahead'} by {abs(size):.3f} s at {at_s:.1f} s"
+        return f"the clock of {self.topic} is set {how}" + (f", one of {len(steps)} times" if len(steps) > 1 else "")
+
+
+class Clocked(NamedTuple):
+    """Times of all topics by one clock."""
+
+    time_s: dict[str, np.ndarray]  # Time of each message by topic (n,) [s]; NaN: not known
+    notes: list[str]  # What was left out
+    start_ns: int  # From when times count [ns since 1970]
+    offset_s: Mapping[str, float]  # Median of logged minus stamped, by topic [s]; NaN without stamps
+
+
+def take_times(logs: Mapping[str, tuple[Sequence[int], Sequence[int]]]) -> tuple[list[Times], int, int]:
+    """Times of topics whose messages were logged and stamped at some times [ns], where 0 is no stamp.
+
+    Returns:
+        The times, and from when those of logging and the stamps count [ns since 1970].
+    """
+    both = {topic: [np.asarray(one, np.int64) for one in two] for topic, two in logs.items()}
+    log_ns = min(int(log.min()) for log, _ in both.values())
+    stamp_ns = min((int(stamp[stamp != 0].min()) for _, stamp in both.values() if stamp.any()), default=log_ns)
+    times = [
+        Times(topic, (log - log_ns) * NS, np.where(stamp == 0, np.nan, (stamp - stamp_ns) * NS))
+        for topic, (log, stamp) in both.items()
+    ]
+    return times, log_ns, stamp_ns
+
+
+def find_fault(topics: Sequence[Times]) -> str | None:
+    """What is wrong with the clocks of topics, in words: in one of them, or between the first and another."""
+    one_by_one = (one.find_fault() for one in topics)
+    return next(filter(None, one_by_one), None) or next(
+        filter(None, (_compare(topics[0], other) for other in topics[1:])), None
+    )
+
+
+def _compare(first: Times, second: Times) -> str | None:
+    """How the delays of two topics differ at the same instants, in words; None: they share a clock."""
+    (log_s, late_s), (other_s, other_late_s) = (
+        (one.log_s[one.plausible], one.late_s[one.plausible]) for one in (first, second)
+    )
+    inside = (log_s >= other_s[0]) & (log_s <= other_s[-1])
+    if not inside.any():
+        return None
+    log_s, late_s = log_s[inside], late_s[inside]
+    apart = median_filter(late_s - np.interp(log_s, other_s, other_late_s), TREND_MESSAGES, mode="nearest")
+    worst = int(np.argmax(np.abs(apart)))
+    if abs(apart[worst]) < MAX_STEP_S + first.period_s + second.period_s:
+        return None
+    how = f"by {apart[worst]:+.3f} s at {log_s[worst]:.1f} s"
+    return f"the clock of {second.topic} differs from that of {first.topic} {how}"
+
+
+def take_logged(times: Times) -> tuple[np.ndarray, str | None]:
+    """Times by the recorder's clock (n,) [s], and what is wrong with them: stamps advance otherwise, or came in bursts.
+
+    They are stamps plus the least delay around them, or where a stamp does not fit, when the message was logged.
+    """
+    log_s = times.log_s
+    if not times.is_stamped:
+        together = (np.diff(np.sort(log_s)) <= GROUP_SHARE * times.period_s).mean() > 0.5
+        return log_s, f"{times.topic}: messages without stamps were logged in bursts" if together else None
+    rows = times.prompt
+    delay = np.interp(log_s, log_s[rows], minimum_filter(times.late_s[rows], TREND_MESSAGES, mode="nearest"))
+    apart = ~(np.abs(times.late_s - delay) <= MAX_STEP_S)
+    apart[times.unordered & np.isfinite(times.stamp_s)] = False
+    apart[np.setdiff1d(np.arange(len(log_s)), rows)] = False
+    found = np.where(apart, log_s, times.stamp_s + delay)
+    found[times.unordered] = np.nan
+    uneven = np.abs(np.diff(found[rows]) - np.diff(times.stamp_s[rows])) > MAX_STEP_S
+    if uneven.sum() <= max(MAX_OUTLIER_SHARE * len(log_s), 2):
+        return found, None
+    return (
+        found,
+        f"{times.topic}: times of logging and stamps advance differently at {uneven.sum()} of {len(log_s)} messages",
+    )
+
+
+def choose_times(logs: Mapping[str, tuple[Sequence[int], Sequence[int]]], logged: bool) -> Clocked:
+    """Times of all topics by one clock: that of the stamps, or if ``logged`` the recorder's.
+
+    Args:
+        logs: When the messages of each topic were logged, and their stamps [ns since 1970]; 0: none.
+        logged: Whether the times of logging count.
+
+    Raises:
+        InputError: Clocks differ or jump, or too many messages are outliers; or the times of logging are no better.
+    """
+    topics, log_ns, stamp_ns = take_times(logs)
+    apart_s = (log_ns - stamp_ns) * NS
+    offset_s = {one.topic: float(np.nanmedian(one.late_s)) + apart_s if one.is_stamped else np.nan for one in topics}
+    by_log = {one.topic: take_logged(one) for one in topics}
+    unfit = next(filter(None, (fault for _, fault in by_log.values())), None)
+    if logged:
+        if unfit:
+            raise InputError(f"clocks: logged: {unfit}")
+        found = {topic: time_s for topic, (time_s, _) in by_log.items()}
+        return Clocked(found, [], log_ns, offset_s)
+    if fault := find_fault(topics):
+        way_out = f"nor do the times of logging help: {unfit}" if unfit else "clocks: logged takes the times of logging"
+        raise InputError(f"{fault}; {way_out}")
+    notes = [
+        f"{one.topic}: {one.outlier.sum()} messages are left out: their stamps are {MAX_STEP_S:g} s or more off"
+        for one in topics
+        if one.outlier.any()
+    ]
+    found = {one.topic: np.where(one.outlier, np.nan, one.stamp_s) for one in topics}
+    return Clocked(found, notes, stamp_ns, offset_s)
