@@ -5,6 +5,7 @@ pixels are kept with their positions on the map. Errors are calibrated on images
 """
 
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -22,7 +23,7 @@ from deepgps.positioner.appearance import AppearanceMap
 from deepgps.positioner.kriging import KERNELS, Kernel, choose_kernel, find_others, krige
 from deepgps.positioner.pixels import KnownPixels, grey, turn
 from deepgps.positioner.positioner import Fitted, RegistrationPositioner
-from deepgps.positioner.registration import Calibration, Registration, fuse
+from deepgps.positioner.registration import Calibration, Registration, fuse, inflate
 from deepgps.terminal.progress import Report
 from sim.errors import InputError
 from sim.geometry import wrap
@@ -36,11 +37,12 @@ MIN_CALIBRATION_IMAGES = 50  # With fewer on segments held out, all are calibrat
 TRUSTED_SHARE, SHRINKAGE = 0.95, 0.1
 """Share of the smallest errors from which the noise is learned; weight of its diagonal alone."""
 MIN_NOISE = 0.1  # Least noise of a ring, over the mean of all
+HEADING_ROUNDS, REFINED_NOISE = 4, 0.99  # Rounds that refine headings, while the pixels' noise falls below this share
 USUAL_SHARE = 0.98  # Share of the left-out images whose distance between two answers is usual
 LIKE_SHARE, MARGIN = 0.99, 4.0
 """An image is unlike others if it exceeds this share of the left-out images by this factor."""
 NORMAL_MEDIAN = np.log(2.0)  # Median of the squared length of a normal vector in the plane, over its mean
-UNCALIBRATED = Calibration(1.0, 1.0, np.inf, np.inf, 1.0, (1.0, 1.0), 1.0, 0.0, 0.0)
+UNCALIBRATED = Calibration(1.0, 1.0, 1.0, np.inf, np.inf, 1.0, (1.0, 1.0), 1.0, 0.0, 0.0)
 
 
 def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
@@ -126,12 +128,19 @@ def learn(
     if len(checked.sample) < MIN_CALIBRATION_IMAGES:
         checked = left_out
     features, kernel, projection = whiten(data, index, places, left_out)
-    pixels, chirality = None, 1
+    std = np.zeros(len(index)) if std is None else std[index]
+    known = Registration(features, places, std, kernel, UNCALIBRATED)
     if has_pixels:
         small = np.concatenate([grey(data.observation[part]) for part in np.array_split(index, -(-len(index) // 500))])
-        pixels, chirality = learn_pixels(small, places, heading, kernel, left_out)
-    std = np.zeros(len(index)) if std is None else std[index]
-    known = Registration(features, places, std, kernel, UNCALIBRATED, pixels, chirality)
+        known = learn_pixels(known, small, heading, left_out)
+        everyone = leave_out(places, first, last, np.arange(len(index)), len(index))
+        for _ in range(HEADING_ROUNDS):
+            refined = refine_headings(known, small, heading, first, everyone)
+            again = learn_pixels(known, small, refined, left_out, (known.chirality,))
+            assert again.pixels is not None and known.pixels is not None
+            if again.pixels.noise.sum() > REFINED_NOISE * known.pixels.noise.sum():
+                break
+            known, heading = again, refined
     known = replace(known, kernel=choose_kernel_by_errors(known, left_out))
     images = data.observation[index[checked.sample]]
     known = replace(known, calibration=calibrate(known, images, heading[checked.sample], checked))
@@ -176,12 +185,19 @@ def whiten(
 
 
 def learn_pixels(
-    images: np.ndarray, places: np.ndarray, heading: np.ndarray, kernel: Kernel, left_out: LeftOut
-) -> tuple[KnownPixels, int]:
-    """The pixels of grey images (n, R, S), and the map's chirality: with the right one, images side by side agree."""
-    weights = krige(places[left_out.sample], places, left_out.others, kernel)
+    known: Registration,
+    images: np.ndarray,
+    heading: np.ndarray,
+    left_out: LeftOut,
+    chiralities: Sequence[int] = (1, -1),
+) -> Registration:
+    """The registration with the pixels of grey images (n, R, S), seen with headings (n,) [rad].
+
+    Of the map's chiralities, that is taken with which images side by side agree better.
+    """
+    weights = krige(known.places[left_out.sample], known.places, left_out.others, known.kernel)
     found = []
-    for chirality in (1, -1):
+    for chirality in chiralities:
         turned = np.empty(images.shape, np.uint8)
         for part in np.array_split(np.arange(len(images)), -(-len(images) // 500)):
             angle = chirality * (heading[part] - heading[0])
@@ -192,7 +208,27 @@ def learn_pixels(
         noise = np.sqrt(np.square(noise).mean(axis=1))
         noise = np.maximum(noise, MIN_NOISE * noise.mean() + 1e-3)
         found.append((KnownPixels(turned, noise, float(chirality * heading[0])), chirality))
-    return min(found, key=lambda pair: pair[0].noise.sum())
+    pixels, chirality = min(found, key=lambda pair: pair[0].noise.sum())
+    return replace(known, pixels=pixels, chirality=chirality)
+
+
+def refine_headings(
+    known: Registration, images: np.ndarray, heading: np.ndarray, segment: np.ndarray, left_out: LeftOut
+) -> np.ndarray:
+    """Headings (n,) [rad] of grey images (n, R, S), each segment turned to agree with the others around it.
+
+    The turn is the median over its images, which are registered by their pixels on those of other segments.
+    """
+    assert known.pixels is not None
+    heading, off = heading.copy(), np.full(len(heading), np.nan)
+    for part in np.array_split(np.arange(len(left_out.sample)), -(-len(heading) // 64)):
+        rows, others = left_out.sample[part], left_out.others[part]
+        found = known.pixels.register(images[rows], known.places[rows], known.tree, known.kernel, others)
+        off[rows] = wrap(known.chirality * found.yaw - heading[rows])
+    for own in np.split(np.arange(len(heading)), np.flatnonzero(np.diff(segment)) + 1):
+        if np.isfinite(off[own]).any():
+            heading[own] += np.nanmedian(off[own])
+    return heading
 
 
 def choose_kernel_by_errors(known: Registration, left_out: LeftOut) -> Kernel:
@@ -226,10 +262,10 @@ def calibrate(known: Registration, images: np.ndarray, heading: np.ndarray, left
         yaw = float(np.quantile(off, 0.68))
         light = float(np.quantile(np.abs(np.log(np.maximum(found.gain, 1e-3))), LIKE_SHARE))
         position, covariance = fuse(position, covariance, found.position, pixels * found.covariance[:, :2, :2])
-    away, size = np.linalg.norm(position - place, axis=1), np.sqrt(_find_trace(covariance))
+    away, size = np.linalg.norm(position - place, axis=1), np.sqrt(_find_trace(covariance) * inflate(unlike / usual))
     radius = float(np.quantile(away / size, 0.68)), float(np.quantile(away / size, 0.95))
     limits, difference = (_find_limit(unlike), pixels_limit), float(np.quantile(away, USUAL_SHARE))
-    return Calibration(features, pixels, *limits, float(components), radius, yaw, light, difference)
+    return Calibration(features, pixels, float(usual), *limits, float(components), radius, yaw, light, difference)
 
 
 def _find_limit(unlike: np.ndarray) -> float:

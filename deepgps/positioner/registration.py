@@ -28,6 +28,12 @@ PIXEL_MARGIN, CLEAR_MARGIN = 1.4, 1.0
 
 The cost is minus twice the logarithm of the likelihood, over the number of independent components.
 """
+MAX_INFLATION = 4.0
+"""Largest factor of the covariance of an image that differs more than usual from those around it.
+
+The factor is the residual over its median: where surfaces line up with the pixels, or things have moved, errors of all
+features have one cause, and do not average out.
+"""
 MAX_DIFFERENCE_M = 0.05  # Distance between two answers, as of features and pixels, up to which they are accepted [m]
 LEVELS = (0.68, 0.95)  # Probabilities with which the radii hold the true position
 REASONS = ("accepted", "unlike", "ambiguous", "contradicting")
@@ -85,7 +91,8 @@ class Calibration:
 
     features: float  # Factor of the features' covariances
     pixels: float  # Factor of the pixels' covariances; 0: none are compared
-    features_limit: float  # Largest squared residual of features over its variance that is usual
+    features_usual: float  # Median of the squared residual of features over its variance
+    features_limit: float  # Largest such residual that is usual
     pixels_limit: float  # Largest squared spread of pixels over its variance that is usual
     components: float  # Independent components of the features
     radius: tuple[float, float]  # Radii of 68 and 95 %, over the root of the covariance's trace
@@ -153,7 +160,7 @@ class Registration:
         cost, position = np.log(modes.residual), modes.position.copy()
         covariance = calibration.features * modes.covariance
         yaw, yaw_std, unlike_pixels, gain = np.full((4, *cost.shape), np.nan)
-        differ, unlike_features = np.zeros(cost.shape), modes.residual / modes.variance / calibration.features_limit
+        differ, residual = np.zeros(cost.shape), modes.residual / modes.variance
         if self.pixels is not None and count:
             close = np.nonzero(cost < cost[:, :1] + PIXEL_MARGIN)
             found = self.pixels.register(images[close[0]], modes.position[close], self.tree, self.kernel)
@@ -171,6 +178,8 @@ class Registration:
         cost, best = cost[order], order[1][:, 0]
         weight = np.exp(calibration.components / 2.0 * (cost[:, :1] - cost))
         ambiguous = (cost[:, 1:] < cost[:, :1] + CLEAR_MARGIN).any(axis=1)
+        covariance *= inflate(residual / calibration.features_usual)[..., None, None]
+        unlike_features = residual / calibration.features_limit
         unlike = np.fmin(unlike_features, unlike_pixels)[rows, best]
         conditions = (unlike > 1.0, ambiguous, differ[rows, best] > MAX_DIFFERENCE_M)
         place = position[rows, best]
@@ -236,6 +245,11 @@ def fuse(
     covariance = np.linalg.inv(first + second)
     sum_ = np.einsum("nij,nj->ni", first, one) + np.einsum("nij,nj->ni", second, other)
     return np.einsum("nij,nj->ni", covariance, sum_), covariance
+
+
+def inflate(residual: np.ndarray) -> np.ndarray:
+    """Factors of the covariances of images by their squared residuals of features, over the usual one."""
+    return np.minimum(residual, MAX_INFLATION)
 
 
 def find_normal_radius(probability: float | np.ndarray) -> np.ndarray:

@@ -92,7 +92,7 @@ def trusting(positioner: NetworkPositioner | NeighbourPositioner) -> NetworkPosi
     """The positioner with some images on its map."""
     features = spectral().features
     assert features is not None
-    calibration = Calibration(1.0, 0.0, 1e9, 1.0, 4.0, (1.5, 2.4), 1.0, 1.0, 1.0)
+    calibration = Calibration(1.0, 0.0, 1.0, 1e9, 1.0, 4.0, (1.5, 2.4), 1.0, 1.0, 1.0)
     arrays = features.apply(seen_from(PLACES)).numpy(), PLACES, np.zeros(len(PLACES))
     return replace(
         positioner, appearance=AppearanceMap(features, Registration(*arrays, Kernel(1.0, 0.02), calibration))

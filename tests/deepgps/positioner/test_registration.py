@@ -8,13 +8,15 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from deepgps.config.learning import FeatureSettings, LearnSettings
+from deepgps.data.segments import find_owners
 from deepgps.learning.training_data import TrainingData, prepare
+from deepgps.methods import registration
 from deepgps.methods.registration import find_headings, learn
 from deepgps.positioner.kriging import Kernel, krige
 from deepgps.positioner.pixels import find_yaw, grey, turn
 from deepgps.positioner.pose import find_poses
 from deepgps.positioner.positioner import RegistrationPositioner
-from deepgps.positioner.registration import Registration, fuse
+from deepgps.positioner.registration import MAX_INFLATION, Registration, fuse, inflate
 from deepgps.positioner.stored_positioner import load_positioner, save_positioner
 from sim.alignment import Alignment
 from sim.geometry import wrap
@@ -270,6 +272,24 @@ def test_headings_are_the_directions_of_segments_and_unknown_where_the_robot_tur
     known, uses = np.isfinite(heading), np.bincount(recording.reading[:, 1], minlength=len(pose))
     assert not known[uses > 1].any() and known.mean() > 0.5
     assert np.abs(wrap(heading - pose[:, 2]))[known].max() < 0.01
+
+
+def test_segments_seen_with_wrong_headings_are_turned_back(
+    data: TrainingData, pose: np.ndarray, tests: tuple[np.ndarray, np.ndarray], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    images, there = tests
+    owner = find_owners(data.segments, len(pose))[0].numpy()
+    turned = pose[:, 2] + np.radians(np.random.default_rng(0).uniform(-20.0, 20.0, owner.max() + 1))[owner]
+    refined = place(data, pose[:, :2], turned).register(images)
+    monkeypatch.setattr(registration, "HEADING_ROUNDS", 0)
+    found = refined, place(data, pose[:, :2], turned).register(images)
+    off, untouched = (np.median(np.abs(wrap(one.yaw - there[:, 2]))) for one in found)
+    assert off < 0.8 * untouched
+
+
+def test_an_image_that_differs_more_than_usual_has_a_larger_ellipse() -> None:
+    factors = inflate(np.array([0.5, 1.0, 2.0, 100.0]))
+    assert factors[1] == 1.0 and (np.diff(factors) > 0.0).all() and factors[-1] == MAX_INFLATION
 
 
 def test_other_positions_for_the_same_images_have_larger_ellipses_and_are_refused_where_they_are_far(
