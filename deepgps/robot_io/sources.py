@@ -13,10 +13,10 @@ import numpy as np
 
 from deepgps.data.checks import check_view
 from deepgps.robot_io.logs.camera import PolarSource, open_polar
-from deepgps.robot_io.logs.containers import Log, open_log
+from deepgps.robot_io.logs.containers import open_log
 from deepgps.robot_io.logs.drive import LoggedDrive, find_drive
-from deepgps.robot_io.logs.lag import choose_lag, measure_lag
-from deepgps.robot_io.logs.messages import open_wheels
+from deepgps.robot_io.logs.importing import read_times
+from deepgps.robot_io.logs.lag import compare_wheels
 from deepgps.robot_io.logs.pictures import ImageList, decode_file, open_images, take_images
 from deepgps.robot_io.logs.robot_config import RobotConfig, load_config
 from deepgps.robot_io.logs.segmentation import Path as Odometry
@@ -173,25 +173,16 @@ def open_source(
     """
     robot = load_config(config)
     with open_log(path) as log:
-        listed = open_images(log, robot.camera.topic)
-        drive = _read(log, robot, listed, with_odometry, progress)
+        listed, drive = open_images(log, robot.camera.topic), None
+        if with_odometry:
+            wheels, listed, _ = read_times(log, robot, progress, with_poses=False)
+            drive = find_drive(robot, wheels, listed, None)
+        else:
+            log.feed({listed.topic: listed.take}, progress)
+            listed.check()
         view = {"field_of_view_deg": robot.camera.field_of_view_deg or field_of_view_deg}
         polar = open_polar(log, robot.camera.model_copy(update=view))
         yield LogSource(polar, listed, None if drive is None else _follow(robot, drive, polar, progress))
-
-
-def _read(log: Log, robot: RobotConfig, listed: ImageList, with_wheels: bool, progress: Report) -> LoggedDrive | None:
-    """Read the times of the images and the wheels; None: without wheels."""
-    takers = {listed.topic: listed.take}
-    wheels = open_wheels(log, robot.wheels) if with_wheels else None
-    if wheels is not None:
-        takers[robot.wheels.topic] = wheels.take
-    log.feed(takers, progress)
-    listed.check()
-    if wheels is None:
-        return None
-    wheels.check()
-    return find_drive(robot, wheels, listed, None)
 
 
 def _follow(robot: RobotConfig, drive: LoggedDrive, polar: PolarSource, progress: Report) -> Odometry:
@@ -199,7 +190,7 @@ def _follow(robot: RobotConfig, drive: LoggedDrive, polar: PolarSource, progress
     lag_s = robot.wheels.lag_s
     if lag_s == "estimate":
         with TemporaryFile() as file:
-            lag_s, _ = choose_lag(lag_s, measure_lag(polar, drive, file, progress)[0])
+            lag_s, _ = compare_wheels(polar, drive, lag_s, file, progress)
     time_s = np.nan_to_num(drive.image_s, nan=-np.inf) + float(lag_s)
     angle = drive.wheels.at(time_s)
     angle[1:][np.diff(drive.wheels.count_breaks(time_s)) != 0] = np.nan  # the motion since the image before is unknown
@@ -208,7 +199,6 @@ def _follow(robot: RobotConfig, drive: LoggedDrive, polar: PolarSource, progress
 
 def check_images(polar: PolarSource, shape: tuple[int, ...], field_of_view_deg: float | None) -> None:
     """Raise InputError if a log's polar images have another shape or full angle than those of a run."""
-    made = (polar.unwrap.rings, polar.unwrap.sectors, 3)
-    if made != shape:
-        raise InputError(f"camera.rings and camera.sectors {made[:2]}: the run has learned from {shape[:2]}")
+    if polar.shape != shape:
+        raise InputError(f"camera.rings and camera.sectors {polar.shape[:2]}: the run has learned from {shape[:2]}")
     check_view(float(np.degrees(2 * polar.lens.half_angle)), field_of_view_deg)

@@ -1,5 +1,6 @@
 """The camera of a log: its calibration, from CameraInfo, a file or the configuration, and the polar images it gives."""
 
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -7,13 +8,16 @@ from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
+import yaml
+from pydantic import ValidationError
 
-from deepgps.config.plain_yaml import read_yaml
+from deepgps.config.plain_yaml import MAX_FILE_BYTES
+from deepgps.config.setting_problems import describe_problems
 from deepgps.robot_io.logs.containers import Log
 from deepgps.robot_io.logs.pictures import take_images
-from deepgps.robot_io.logs.robot_config import CameraConfig
+from deepgps.robot_io.logs.robot_config import CameraConfig, Intrinsics
 from deepgps.terminal.progress import Report
-from sim.errors import InputError, quote
+from sim.errors import InputError, one_line, quote, read_file
 from sim.sensors.camera.lens import Lens
 from sim.sensors.camera.unwrap import COEFFICIENTS, MODELS, RawCamera, Unwrapping, check_camera
 
@@ -21,15 +25,22 @@ CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 MIN_HALF_ANGLE = np.radians(30.0)
 """Smallest angle between the optical axis and the rim that is worth learning from [rad]."""
 FIRST_IMAGES = 20  # Images of which most have the size of all; some cameras begin with another one
+KALIBR_MODELS = {
+    ("pinhole", "equidistant"): "equidistant",
+    ("pinhole", "radtan"): "plumb_bob",
+    ("pinhole", "none"): "plumb_bob",
+    ("omni", "radtan"): "omni",
+    ("omni", "none"): "omni",
+}
+CAMODOCAL_MODELS = {
+    "KANNALA_BRANDT": "mu, mv, u0, v0 are fx, fy, cx, cy, and k2 to k5 the coefficients of model equidistant",
+    "MEI": "gamma1, gamma2, u0, v0 are fx, fy, cx, cy, and xi, k1, k2, p1, p2 the coefficients of model omni",
+    "PINHOLE": "fx, fy, cx, cy are the same, and k1, k2, p1, p2 the coefficients of model plumb_bob",
+}
 
 
 def find_camera(log: Log, config: CameraConfig, size: tuple[int, int]) -> RawCamera:
-    """The calibration of a log's camera.
-
-    Args:
-        log: The log.
-        config: Where the calibration is.
-        size: Width and height of the images [px].
+    """The calibration of a log's camera, whose images have this width and height [px].
 
     Raises:
         InputError: There is none, it is impossible, or it is for images of another size.
@@ -39,13 +50,12 @@ def find_camera(log: Log, config: CameraConfig, size: tuple[int, int]) -> RawCam
     elif config.file is not None:
         camera, where = read_calibration(config.file), str(config.file)
     elif config.intrinsics is not None:
-        given = config.intrinsics
-        camera = make_camera(
-            given.model, (given.width, given.height), (given.fx, given.fy), (given.cx, given.cy), given.coefficients
-        )
-        where = "camera.intrinsics"
-    else:
-        camera, where = _assume(config, size), "camera.circle_px"
+        camera, where = make_camera(config.intrinsics), "camera.intrinsics"
+    else:  # an equidistant lens in the middle of the image
+        assert config.circle_px is not None and config.field_of_view_deg is not None
+        focal = config.circle_px / (np.radians(config.field_of_view_deg) / 2)
+        middle = (size[0] - 1) / 2, (size[1] - 1) / 2
+        camera, where = RawCamera("equidistant", size, (focal, focal), middle, (0.0,) * 4), "camera.circle_px"
     try:
         check_camera(camera)
         if camera.size != size:
@@ -55,20 +65,27 @@ def find_camera(log: Log, config: CameraConfig, size: tuple[int, int]) -> RawCam
     return camera
 
 
-def make_camera(
-    model: str,
-    size: tuple[int, int],
-    focal: tuple[float, float],
-    centre: tuple[float, float],
-    coefficients: Sequence[float],
-) -> RawCamera:
-    """A calibration with all of its model's coefficients; raises InputError if there are too many."""
+def make_camera(given: Intrinsics) -> RawCamera:
+    """A calibration with all of its model's coefficients; raises InputError if more than these are not 0."""
+    count, numbers = COEFFICIENTS[given.model], list(given.coefficients)
+    if any(numbers[count:]):
+        raise InputError(f"{given.model} has {count} coefficients, not {len(numbers)}")
+    numbers = (numbers + [0.0] * count)[:count]
+    return RawCamera(
+        given.model, (given.width, given.height), (given.fx, given.fy), (given.cx, given.cy), tuple(numbers)
+    )
+
+
+def _make(model: Any, size: Sequence[Any], focal_and_centre: Sequence[Any], coefficients: Sequence[Any]) -> RawCamera:
+    """A calibration of values that a file or a message gives."""
     if model not in MODELS:
         raise InputError(f"distortion model {quote(model)}: must be {', '.join(MODELS)}")
-    given = [float(value) for value in coefficients]
-    if len(given) > COEFFICIENTS[model]:
-        raise InputError(f"{model} has {COEFFICIENTS[model]} coefficients, not {len(given)}")
-    return RawCamera(model, size, focal, centre, tuple(given + [0.0] * (COEFFICIENTS[model] - len(given))))
+    names = ("width", "height", "fx", "fy", "cx", "cy")
+    values = dict(zip(names, (*size, *focal_and_centre), strict=True))
+    try:
+        return make_camera(Intrinsics.model_validate({"model": model, **values, "coefficients": list(coefficients)}))
+    except ValidationError as error:
+        raise InputError(describe_problems(error, Intrinsics)) from None
 
 
 def prepare_unwrapping(camera: RawCamera, config: CameraConfig) -> tuple[Unwrapping, Lens]:
@@ -92,7 +109,9 @@ def read_info(message: Any) -> RawCamera | None:
     if message.binning_x > 1 or message.binning_y > 1 or message.roi.x_offset or message.roi.y_offset:
         raise InputError("binning or a region of interest is set; give the calibration of the image as it is")
     size = int(message.width), int(message.height)
-    return make_camera(str(message.distortion_model), size, (float(k[0]), float(k[4])), (float(k[2]), float(k[5])), d)
+    return _make(
+        str(message.distortion_model), size, [float(k[row]) for row in (0, 4, 2, 5)], [float(one) for one in d]
+    )
 
 
 def _read_info(log: Log, topic: str) -> RawCamera:
@@ -110,50 +129,70 @@ def _read_info(log: Log, topic: str) -> RawCamera:
 
 
 def read_calibration(path: Path) -> RawCamera:
-    """The calibration in a file of ROS's camera_calibration; raises InputError that names what is wrong."""
-    values = read_yaml(path)
+    """The calibration in a file of ROS's camera_calibration, Kalibr or OpenCV's FileStorage.
+
+    Raises:
+        InputError: It is another file, or something in it is wrong; the message says what.
+    """
+    text = read_file(path, MAX_FILE_BYTES, f"{path}: a calibration").decode(errors="replace")
     try:
-        k, d = (_take_numbers(values, name) for name in ("camera_matrix", "distortion_coefficients"))
-        if len(k) != 9:
-            raise InputError(f"camera_matrix.data has {len(k)} numbers, and must have 9")
-        size = _take_size(values, "image_width"), _take_size(values, "image_height")
-        return make_camera(str(values["distortion_model"]), size, (k[0], k[4]), (k[2], k[5]), d)
+        if "ocam_model" in text:
+            raise InputError(
+                "a calibration of OCamCalib, whose polynomial is not read: calibrate with Kalibr or OpenCV's fisheye; "
+                "its center is cy, cx, and its first coefficient without sign about fx and fy"
+            )
+        values = yaml.safe_load(re.sub(r"\A%YAML:1\.0|!!opencv-matrix", "", text))
+        if not isinstance(values, dict):
+            raise InputError("it is no calibration of camera_calibration, Kalibr or OpenCV")
+        if kind := values.get("model_type"):
+            where = CAMODOCAL_MODELS.get(kind, "which is not read")
+            raise InputError(f"a calibration of camodocal, as of VINS: give camera.intrinsics, where {where}")
+        cameras = [one for name, one in values.items() if re.fullmatch(r"cam\d+", str(name))]
+        return _take_kalibr(cameras) if cameras else _take_matrices(values)
+    except yaml.YAMLError as error:
+        raise InputError(
+            f"{path}: it is no calibration of camera_calibration, Kalibr or OpenCV: {one_line(error)}"
+        ) from None
     except KeyError as error:
-        raise InputError(f"{path} is no calibration as of camera_calibration: {error} is missing") from None
-    except InputError as error:
+        raise InputError(f"{path}: {error} is missing") from None
+    except (InputError, TypeError) as error:
         raise InputError(f"{path}: {error}") from None
 
 
-def _take_numbers(values: Mapping[str, Any], name: str) -> list[float]:
-    """The numbers of a matrix in a calibration file; raises InputError if they are none."""
-    data = values[name].get("data") if isinstance(values[name], dict) else values[name]
-    numbers = [_as_number(value) for value in data] if isinstance(data, list) else [np.nan]
-    if not np.isfinite(numbers).all():
-        raise InputError(f"{name}.data {quote(data)}: must be a list of finite numbers")
-    return numbers
+def _take_kalibr(cameras: Sequence[Mapping[str, Any]]) -> RawCamera:
+    """The camera of a camchain that holds one."""
+    if len(cameras) > 1:
+        raise InputError(f"it holds {len(cameras)} cameras: leave the one that looks up")
+    one = cameras[0]
+    kind = one["camera_model"], one["distortion_model"]
+    if kind not in KALIBR_MODELS:
+        raise InputError(f"camera model {quote(kind)} of Kalibr: must be {quote(list(KALIBR_MODELS), 300)}")
+    count = 5 if kind[0] == "omni" else 4
+    if len(one["intrinsics"]) != count:
+        raise InputError(f"intrinsics of Kalibr's {kind[0]} must be {count} numbers")
+    *xi, fx, fy, cx, cy = one["intrinsics"]
+    return _make(KALIBR_MODELS[kind], one["resolution"][:2], (fx, fy, cx, cy), [*xi, *(one["distortion_coeffs"] or ())])
 
 
-def _take_size(values: Mapping[str, Any], name: str) -> int:
-    """A number of pixels in a calibration file; raises InputError if it is none."""
-    number = _as_number(values[name])
-    if not number.is_integer():
-        raise InputError(f"{name} {quote(values[name])}: must be a whole number of pixels")
-    return int(number)
+def _take_matrices(values: Mapping[str, Any]) -> RawCamera:
+    """The camera of a file of ROS or OpenCV, whose programs spell names differently."""
+    names = {re.sub("[_ ]", "", str(name)).lower(): value for name, value in values.items()}
 
+    def take(*known: str) -> Any:
+        found = next((names[name] for name in known if name in names), None)
+        if found is None:
+            raise KeyError(known[0])
+        return found["data"] if isinstance(found, dict) else found
 
-def _as_number(value: Any) -> float:
-    """A number, which YAML reads as text if it has an exponent and no point; NaN: it is none."""
-    try:
-        return float(value) if isinstance(value, int | float | str) and not isinstance(value, bool) else np.nan
-    except (ValueError, OverflowError):
-        return np.nan
-
-
-def _assume(config: CameraConfig, size: tuple[int, int]) -> RawCamera:
-    """An equidistant lens in the middle of the image, by the radius of its image circle and its field of view."""
-    assert config.circle_px is not None and config.field_of_view_deg is not None
-    focal = config.circle_px / (np.radians(config.field_of_view_deg) / 2)
-    return RawCamera("equidistant", size, (focal, focal), ((size[0] - 1) / 2, (size[1] - 1) / 2), (0.0, 0.0, 0.0, 0.0))
+    k, d = take("cameramatrix", "k"), take("distortioncoefficients", "distcoeffs", "d")
+    if not (isinstance(k, list) and isinstance(d, list) and len(k) == 9):
+        raise InputError("the camera matrix must be a list of 9 numbers, and the distortion coefficients a list")
+    model = names.get("distortionmodel")
+    if model is None and "fisheyemodel" in names:
+        model = "equidistant" if names["fisheyemodel"] else "plumb_bob" if len(d) <= 5 else "rational_polynomial"
+    if model is None:
+        raise InputError("it names no model: add distortion_model: equidistant, or another one")
+    return _make(model, (take("imagewidth"), take("imageheight")), [k[row] for row in (0, 4, 2, 5)], d)
 
 
 @dataclass
@@ -170,33 +209,27 @@ class PolarSource:
     drawn: set[int] = field(default_factory=set)  # Numbers of the images that have been read
 
     @property
-    def size(self) -> int:
-        """Size of a polar image."""
-        return self.unwrap.rings * self.unwrap.sectors * 3
+    def shape(self) -> tuple[int, int, int]:
+        """Shape of a polar image."""
+        return self.unwrap.rings, self.unwrap.sectors, 3
 
-    def draw(self, wanted: Sequence[int], store: IO[bytes], progress: Report, label: str) -> None:
-        """Write the polar images of some images of the log to a file, in the order of ``wanted``."""
+    def draw(self, wanted: Sequence[int], store: IO[bytes], progress: Report, label: str) -> np.ndarray:
+        """Polar images (n, rings, sectors, 3) of some images of the log in this order, mapped from a file."""
         places = dict[int, list[int]]()
         for place, number in enumerate(wanted):
             places.setdefault(number, []).append(place)
         self.drawn.update(places)
-        store.truncate(len(wanted) * self.size)
-        for done, (number, image) in enumerate(take_images(self.log, self.topic, places, self.damaged)):
+        if not places:
+            return np.empty((0, *self.shape), np.uint8)
+        store.truncate(len(wanted) * int(np.prod(self.shape)))
+        images = np.memmap(store, np.uint8, "r+", shape=(len(wanted), *self.shape))
+        for done, (number, image) in enumerate(take_images(self.log, self.topic, places, self.damaged), start=1):
             try:
-                data = self.unwrap(image).tobytes()
+                images[places[number]] = self.unwrap(image)
             except InputError as error:
                 self.damaged[number] = str(error)
-                continue
-            for place in places[number]:
-                store.seek(place * self.size)
-                store.write(data)
-            progress(label, done + 1, len(places))
-        store.flush()
-
-    def map(self, store: IO[bytes], count: int) -> np.ndarray:
-        """The polar images in a file (n, rings, sectors, 3), memory-mapped."""
-        shape = (count, self.unwrap.rings, self.unwrap.sectors, 3)
-        return np.memmap(store, np.uint8, "c", shape=shape) if count else np.empty(shape, np.uint8)
+            progress(label, done, len(places))
+        return images
 
 
 def open_polar(log: Log, config: CameraConfig) -> PolarSource:
@@ -206,9 +239,8 @@ def open_polar(log: Log, config: CameraConfig) -> PolarSource:
         InputError: There is no such image, or no calibration for it.
     """
     problems = dict[int, str]()
-    sizes = Counter(
-        (image.shape[1], image.shape[0]) for _, image in take_images(log, config.topic, range(FIRST_IMAGES), problems)
-    )
+    first = take_images(log, config.topic, range(FIRST_IMAGES), problems)
+    sizes = Counter((image.shape[1], image.shape[0]) for _, image in first)
     if not sizes:
         why = next(iter(problems.values()), "there is none")
         raise InputError(f"camera.topic {config.topic}: none of the first images can be used: {why}")

@@ -7,7 +7,7 @@ and only the one with the least delay tells the clock; of the others, stamps mus
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.ndimage import median_filter, minimum_filter
@@ -123,7 +123,7 @@ class Clocked(NamedTuple):
     offset_s: Mapping[str, float]  # Median of logged minus stamped, by topic [s]; NaN without stamps
 
 
-def take_times(logs: Mapping[str, tuple[Sequence[int], Sequence[int]]]) -> tuple[list[Times], int, int]:
+def take_times(logs: Mapping[str, tuple[Any, Any]]) -> tuple[list[Times], int, int]:
     """Times of topics whose messages were logged and stamped at some times [ns], where 0 is no stamp.
 
     Returns:
@@ -189,7 +189,7 @@ def take_logged(times: Times) -> tuple[np.ndarray, str | None]:
     )
 
 
-def choose_times(logs: Mapping[str, tuple[Sequence[int], Sequence[int]]], logged: bool) -> Clocked:
+def choose_times(logs: Mapping[str, tuple[Any, Any]], logged: bool) -> Clocked:
     """Times of all topics by one clock: that of the stamps, or if ``logged`` the recorder's.
 
     Args:

@@ -4,7 +4,7 @@ The log is read three times, never kept: for the wheels and the times of images,
 for the images that the recording holds.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -16,7 +16,7 @@ from deepgps.api.record import check_place, write_aside, write_recording
 from deepgps.robot_io.logs.camera import PolarSource, open_polar
 from deepgps.robot_io.logs.containers import Log, open_log
 from deepgps.robot_io.logs.drive import LoggedDrive, find_drive
-from deepgps.robot_io.logs.lag import choose_lag, measure_lag
+from deepgps.robot_io.logs.lag import compare_wheels
 from deepgps.robot_io.logs.matching import Images, Plan, describe, note_cover, note_reach, plan_recording
 from deepgps.robot_io.logs.messages import PoseLog, WheelLog, open_poses, open_wheels
 from deepgps.robot_io.logs.pictures import ImageList, open_images
@@ -39,24 +39,6 @@ LAST_ENTRIES = ("schema", "sha256", "checksum")
 HEIGHTS_M = (0.2, 1.5)  # Limits of the setting camera.height_m, by which only the viewer draws [m]
 
 
-@dataclass(frozen=True)
-class Choice:
-    """The images of a recording, numbered as in the log."""
-
-    train: Plan  # Those of the segments to learn from
-    test: Plan  # Those of the segments that are held out
-
-    @property
-    def parts(self) -> list[np.ndarray]:
-        """Images of the observations and after turns, and the same of what is held out."""
-        return [one for plan in (self.train, self.test) for one in (plan.observation, plan.turn_image)]
-
-    @property
-    def numbers(self) -> list[int]:
-        """All images."""
-        return np.concatenate(self.parts).tolist()
-
-
 def import_log(path: Path, config: RobotConfig, out: Path, progress: Report, config_sha256: str = "") -> dict[str, Any]:
     """Import a log.
 
@@ -75,175 +57,146 @@ def import_log(path: Path, config: RobotConfig, out: Path, progress: Report, con
     """
     check_place(out)
     with open_log(path) as log:
-        drive = find_drive(config, *_read(log, config, progress))
+        drive = find_drive(config, *read_times(log, config, progress))
         source = open_polar(log, config.camera)
         out.parent.mkdir(parents=True, exist_ok=True)
         with TemporaryFile(dir=out.parent) as file:
-            lag, doubts = measure_lag(source, drive, file, progress)
-        lag_s, notes = choose_lag(config.wheels.lag_s, lag)
+            lag_s, doubts = compare_wheels(source, drive, config.wheels.lag_s, file, progress)
         about = {"name": path.name, "config_sha256": config_sha256, "lag_s": lag_s}
-        notes = [*log.notes, *drive.notes, *note_reach(source), *note_cover(source.topic, drive), *doubts, *notes]
-        return _write(config, source, drive, about, notes, out, progress)
+        notes = [*log.notes, *drive.notes, *note_reach(source), *note_cover(source.topic, drive), *doubts]
+        return _Import(config, source, drive, lag_s).write(about, notes, out, progress)
 
 
-def _read(log: Log, config: RobotConfig, progress: Report) -> tuple[WheelLog, ImageList, PoseLog | None]:
+def read_times(
+    log: Log, config: RobotConfig, progress: Report, with_poses: bool = True
+) -> tuple[WheelLog, ImageList, PoseLog | None]:
     """Read wheels, times of images, and poses, all at once."""
     wheels, images = open_wheels(log, config.wheels), open_images(log, config.camera.topic)
-    poses = open_poses(log, config.pose.topic) if config.pose else None
-    takers = {config.wheels.topic: wheels.take, images.topic: images.take}
-    if poses is not None and config.pose:
+    takers, poses = {config.wheels.topic: wheels.take, images.topic: images.take}, None
+    if config.pose and with_poses:
+        poses = open_poses(log, config.pose.topic)
         if config.pose.topic in takers:
             raise InputError(f"pose.topic {config.pose.topic}: is the topic of the wheels or of the camera")
         takers[config.pose.topic] = poses.take
     log.feed(takers, progress)
-    wheels.check()
-    images.check()
-    if poses is not None and config.pose:
-        poses.check(config.pose.topic)
+    for one in filter(None, (wheels, images, poses)):
+        one.check()
     return wheels, images, poses
 
 
-def _write(
-    config: RobotConfig,
-    source: PolarSource,
-    drive: LoggedDrive,
-    about: Mapping[str, Any],
-    notes: list[str],
-    out: Path,
-    progress: Report,
-) -> dict[str, Any]:
-    """Choose, draw and write the images; where some are damaged, the choice is made again without them."""
-    while True:  # each round finds another damaged image, and too many are refused
-        choice = _choose(config, source, drive, about["lag_s"])
-        check_space(out, 2 * len(choice.numbers) * source.size)
-        before = len(source.damaged)
-        with TemporaryFile(dir=out.parent) as file:
-            source.draw(choice.numbers, file, progress, "unwrap images")
-            damage = _describe_damage(source, drive)
-            if len(source.damaged) > max(MAX_DAMAGED_SHARE * len(source.drawn), 1):
-                raise InputError(damage)
-            if len(source.damaged) > before:
-                continue
-            described = {**about, **describe(config, source, drive, choice.train, choice.test)}
-            described["notes"] = [*notes, *([damage] if damage else [])]
-            _store(config, source, drive, choice, source.map(file, len(choice.numbers)), out, described)
-        return described
+@dataclass(frozen=True)
+class _Import:
+    """What an import is made of."""
 
+    config: RobotConfig
+    source: PolarSource
+    drive: LoggedDrive
+    lag_s: float
 
-def _choose(config: RobotConfig, source: PolarSource, drive: LoggedDrive, lag_s: float) -> Choice:
-    """Choose the images; raises InputError if there is no segment."""
-    wheels = drive.wheels
-    path = drive.path
-    images = _match(config, source, drive, lag_s)
-    straight = [number for number, motion in enumerate(drive.motions) if motion.kind == "straight"]
-    held_out = round(config.drive.held_out * len(straight))
-    if config.drive.held_out and len(straight) >= MIN_SEGMENTS:
-        held_out = max(held_out, 1)
-    count = len(straight) - held_out
-    end = straight[count] if count < len(straight) else len(drive.motions)
-    spacing_m, ticks = config.drive.spacing_m, config.wheels.ticks_per_rev
-    train = plan_recording(drive.motions, range(end), wheels, path, images, spacing_m, ticks)
-    if not len(train.motions):
-        found = {kind: sum(one.kind == kind for one in drive.motions) for kind in KINDS}
-        hint = next(iter(drive.notes), "do their times overlap, and do both wheels count forward?")
-        raise InputError(
-            f"{config.wheels.topic}, {source.topic}: no straight segment with two images was found (motions: "
-            f"{', '.join(f'{count} {kind}' for kind, count in found.items())}; images at known angles: "
-            f"{len(images.number)}); {hint}"
-        )
-    test = plan_recording(drive.motions, range(end, len(drive.motions)), wheels, path, images, spacing_m, ticks)
-    return Choice(train, test)
+    def write(self, about: Mapping[str, Any], notes: list[str], out: Path, progress: Report) -> dict[str, Any]:
+        """Choose, draw and write the images; where some are damaged, the choice is made again without them."""
+        source = self.source
+        while True:  # each round finds another damaged image, and too many are refused
+            plans, before = self._choose(), len(source.damaged)
+            parts = [one for plan in plans for one in (plan.observation, plan.turn_image)]
+            numbers = np.concatenate(parts).tolist()
+            check_space(out, 2 * len(numbers) * int(np.prod(source.shape)))
+            with TemporaryFile(dir=out.parent) as file:
+                images = source.draw(numbers, file, progress, "unwrap images")
+                damage = self._describe_damage()
+                if len(source.damaged) > max(MAX_DAMAGED_SHARE * len(source.drawn), 1):
+                    raise InputError(damage[0])
+                if len(source.damaged) > before:
+                    continue
+                found = {**about, **describe(self.config, source, self.drive, *plans), "notes": [*notes, *damage]}
+                self._store(plans, np.split(images, np.cumsum([len(part) for part in parts[:-1]])), out, found)
+                return found
 
+    def _choose(self) -> tuple[Plan, Plan]:
+        """The images of the segments to learn from and of those held out; raises InputError if there is no segment."""
+        config, drive, images = self.config, self.drive, self._match()
+        straight = [number for number, motion in enumerate(drive.motions) if motion.kind == "straight"]
+        held_out = round(config.drive.held_out * len(straight))
+        if config.drive.held_out and len(straight) >= MIN_SEGMENTS:
+            held_out = max(held_out, 1)
+        end = straight[-held_out] if held_out else len(drive.motions)
 
-def _match(config: RobotConfig, source: PolarSource, drive: LoggedDrive, lag_s: float) -> Images:
-    """The images that can be used, with the wheels at their times."""
-    order = np.argsort(drive.image_s, kind="stable")
-    wheel_s = drive.image_s[order] + lag_s
-    angle = drive.wheels.at(np.nan_to_num(wheel_s, nan=-np.inf))
-    good = np.isfinite(angle).all(axis=1) & ~np.isin(order, list(source.damaged))
-    if drive.pose is not None and config.pose and config.pose.use == "truth":
-        good &= np.isfinite(drive.pose[order]).all(axis=1)
-    good[1:] &= np.diff(drive.image_s[order]) > 0
-    order, wheel_s, angle = order[good], wheel_s[good], angle[good]
-    path = find_path(angle, config.wheels.radius_m, config.wheels.track_m)
-    return Images(order, drive.image_s[order], wheel_s, angle, path)
+        def plan(some: range) -> Plan:
+            spacing_m, ticks = config.drive.spacing_m, config.wheels.ticks_per_rev
+            return plan_recording(drive.motions, some, drive.wheels, drive.path, images, spacing_m, ticks)
 
-
-def _describe_damage(source: PolarSource, drive: LoggedDrive) -> str:
-    """The first damaged image in one line; empty: there is none."""
-    if not source.damaged:
-        return ""
-    number = min(source.damaged)
-    return (
-        f"{source.topic} at {drive.image_s[number]:.2f} s: {source.damaged[number]}; damaged images: "
-        f"{len(source.damaged)}"
-    )
-
-
-def _store(
-    config: RobotConfig,
-    source: PolarSource,
-    drive: LoggedDrive,
-    choice: Choice,
-    images: np.ndarray,
-    out: Path,
-    about: Mapping[str, Any],
-) -> None:
-    """Write the recording and, where it has no truth, what is held out as its deployment drive."""
-    observation, turn, test, test_turn = np.split(images, np.cumsum([len(part) for part in choice.parts[:-1]]))
-    known = _take_poses(config, drive, choice)
-    if "pose" in known and len(test):
-        known["test_observations"] = test
-    with write_aside(out) as folder:
-        entries = {"source": "log", "log": about}
-        _write_plan(config, source, drive, choice.train, observation, turn, folder, entries, known)
-        if "pose" not in known and len(choice.test.motions):
-            _write_plan(
-                config, source, drive, choice.test, test, test_turn, folder / DEPLOYMENT_FOLDER, {"source": "log"}, {}
+        train, test = plan(range(end)), plan(range(end, len(drive.motions)))
+        if not len(train.motions):
+            found = {kind: sum(one.kind == kind for one in drive.motions) for kind in KINDS}
+            hint = next(iter(drive.notes), "do their times overlap, and do both wheels count forward?")
+            raise InputError(
+                f"{config.wheels.topic}, {self.source.topic}: no straight segment with two images was found (motions: "
+                f"{', '.join(f'{count} {kind}' for kind, count in found.items())}; images at known angles: "
+                f"{len(images.number)}); {hint}"
             )
-            manifest = read_json(folder / "manifest.json")
-            finish_recording(folder, {name: value for name, value in manifest.items() if name not in LAST_ENTRIES})
+        return train, test
 
+    def _match(self) -> Images:
+        """The images that can be used, with the wheels at their times."""
+        drive, wheels = self.drive, self.config.wheels
+        order = np.argsort(drive.image_s, kind="stable")
+        wheel_s = drive.image_s[order] + self.lag_s
+        angle = drive.wheels.at(np.nan_to_num(wheel_s, nan=-np.inf))
+        good = np.isfinite(angle).all(axis=1) & ~np.isin(order, list(self.source.damaged))
+        if drive.pose is not None and self.config.pose and self.config.pose.use == "truth":
+            good &= np.isfinite(drive.pose[order]).all(axis=1)
+        good[1:] &= np.diff(drive.image_s[order]) > 0
+        order, wheel_s, angle = order[good], wheel_s[good], angle[good]
+        path = find_path(angle, wheels.radius_m, wheels.track_m)
+        return Images(order, drive.image_s[order], wheel_s, angle, path)
 
-def _write_plan(
-    config: RobotConfig,
-    source: PolarSource,
-    drive: LoggedDrive,
-    plan: Plan,
-    observation: np.ndarray,
-    turn: np.ndarray,
-    folder: Path,
-    about: Mapping[str, Any],
-    known: Mapping[str, Any],
-) -> None:
-    """Write the recording of a plan, of its images before and after turns, with what is known of poses."""
-    wheels = config.wheels
-    write_recording(
-        folder,
-        observation,
-        plan.reading,
-        plan.time_s,
-        {"wheel_radius_m": wheels.radius_m, "track_m": wheels.track_m, "ticks_per_rev": wheels.ticks_per_rev},
-        observation_time=drive.image_s[plan.observation],
-        turns=plan.turns,
-        turn_observations=turn,
-        camera=_describe_lens(config, source),
-        about={**about, **({"wheels_computed": True} if drive.from_odometry else {})},
-        **known,
-    )
+    def _describe_damage(self) -> list[str]:
+        """The first damaged image in one line, if there is one."""
+        damaged, topic = self.source.damaged, self.source.topic
+        return [
+            f"{topic} at {self.drive.image_s[number]:.2f} s: {damaged[number]}; damaged images: {len(damaged)}"
+            for number in sorted(damaged)[:1]
+        ]
 
+    def _store(
+        self, plans: tuple[Plan, Plan], images: Sequence[np.ndarray], out: Path, about: Mapping[str, Any]
+    ) -> None:
+        """Write the recording and, where it has no truth, what is held out as its deployment drive."""
+        (train, test), pose, known = plans, self.drive.pose, dict[str, Any]()
+        if pose is not None and self.config.pose and self.config.pose.use == "labels":
+            known = {"labels": pose[train.observation]}
+        elif pose is not None:
+            known = {"pose": pose[train.observation]}
+            if len(test.observation):
+                known |= {"test_pose": pose[test.observation], "test_observations": images[2]}
+        with write_aside(out) as folder:
+            self._write_plan(train, images[:2], folder, {"source": "log", "log": about}, known)
+            if "pose" not in known and len(test.motions):
+                self._write_plan(test, images[2:], folder / DEPLOYMENT_FOLDER, {"source": "log"}, {})
+                manifest = read_json(folder / "manifest.json")
+                finish_recording(folder, {name: value for name, value in manifest.items() if name not in LAST_ENTRIES})
 
-def _take_poses(config: RobotConfig, drive: LoggedDrive, choice: Choice) -> dict[str, Any]:
-    """Poses of observations, as truth or as labels."""
-    if drive.pose is None or config.pose is None:
-        return {}
-    if config.pose.use == "labels":
-        return {"labels": drive.pose[choice.train.observation]}
-    test = choice.test.observation
-    return {"pose": drive.pose[choice.train.observation], **({"test_pose": drive.pose[test]} if len(test) else {})}
-
-
-def _describe_lens(config: RobotConfig, source: PolarSource) -> CameraSettings:
-    """The camera of the polar images, as a scenario describes it, whose heights are limited."""
-    field_deg = round(float(np.degrees(2 * source.lens.half_angle)), 6)
-    return CameraSettings(field_of_view_deg=field_deg, height_m=float(np.clip(config.camera.height_m, *HEIGHTS_M)))
+    def _write_plan(
+        self,
+        plan: Plan,
+        images: Sequence[np.ndarray],
+        folder: Path,
+        about: Mapping[str, Any],
+        known: Mapping[str, Any],
+    ) -> None:
+        """Write the recording of a plan, of its images and those after turns, with what is known of poses."""
+        wheels, field_deg = self.config.wheels, round(float(np.degrees(2 * self.source.lens.half_angle)), 6)
+        height_m = float(np.clip(self.config.camera.height_m, *HEIGHTS_M))
+        write_recording(
+            folder,
+            images[0],
+            plan.reading,
+            plan.time_s,
+            {"wheel_radius_m": wheels.radius_m, "track_m": wheels.track_m, "ticks_per_rev": wheels.ticks_per_rev},
+            observation_time=self.drive.image_s[plan.observation],
+            turns=plan.turns,
+            turn_observations=images[1],
+            camera=CameraSettings(field_of_view_deg=field_deg, height_m=height_m),
+            about={**about, **({"wheels_computed": True} if self.drive.from_odometry else {})},
+            **known,
+        )

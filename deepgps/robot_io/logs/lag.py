@@ -1,17 +1,16 @@
-"""How much later than the images the wheels are, from turns in place that both see, and which lag counts.
+"""Wheels against images: how much later than the images the wheels are, and where both contradict each other.
 
 The turn between two images is the circular shift that makes their rings agree best. The lag is the shift in time at
-which the wheels turn as the images do.
+which the wheels turn as the images do in turns in place; elsewhere, neither may turn.
 """
 
-from collections.abc import Collection
+from collections.abc import Callable
 from typing import IO, NamedTuple
 
 import numpy as np
 
 from deepgps.robot_io.logs.camera import PolarSource
 from deepgps.robot_io.logs.drive import LoggedDrive
-from deepgps.robot_io.logs.segmentation import Kind
 from deepgps.terminal.progress import Report
 from sim.errors import InputError
 from sim.geometry import wrap
@@ -21,8 +20,8 @@ MAX_LAG_S = 0.5  # Largest lag that is looked for [s]
 STEP_S = 0.002
 OUTLIER_RAD = 0.1  # Differences from here on count no more [rad]
 MIN_TURN_RAD = 0.05  # Turns between two images that are smaller than this tell nothing [rad]
-MIN_PAIRS = 12  # Fewest pairs of images from which a lag is estimated
-MAX_PAIRS = 400  # Pairs of images from which the lag is estimated at most
+MIN_PAIRS = 12  # Fewest pairs of images from which something is concluded
+MAX_PAIRS = 400  # Pairs of images in turns, and elsewhere, that are looked at
 PAIR_S = (0.19, 0.5)
 """Shortest and longest time between the two images of a pair [s]: two images of a fast camera hardly differ."""
 TURN_MARGIN_S = 0.3  # Images are looked at this long before and after a turn [s]
@@ -31,17 +30,20 @@ UNIT_RATIO = 10.0
 """How many times as far as the images the wheels turn at least if their angles are in degrees or ticks."""
 MIN_SEEN_SHARE = 0.2  # Share of the wheels' turns below which images seem not to turn. Good logs have nearly all
 VISIBLE_TURN_RAD = 0.15  # Turn of the wheels between two images that images show whatever their lag [rad]
-MAX_STILL_SHARE = 0.2  # Share of such turns in which images may stand still without a note
-DRIVES: tuple[Kind, ...] = ("straight", "back", "arc")
-"""Motions that a turn in place becomes by wheels of which one counts backward."""
+MAX_ODD_SHARE = 0.2  # Share of turns in which images may stand still, and of other pairs in which they may turn
+MAX_LAG_ERROR_S = 0.02  # Difference between the lag that is given and the measured one from which it is noted [s]
 
 
 class Pairs(NamedTuple):
-    """Pairs of images taken while the robot turned in place."""
+    """Pairs of images and the turns between them."""
 
     first_s: np.ndarray  # Time of the first image of each (p,) [s]
     second_s: np.ndarray  # Time of the second one (p,) [s]
     turned: np.ndarray  # The turn between them by the images (p,) [rad], to the left
+
+    def follow(self, time_s: np.ndarray, values: np.ndarray, lag_s: float = 0.0) -> np.ndarray:
+        """Changes (p,) of some values (n,) at times (n,) [s] of the wheels."""
+        return np.interp(self.second_s + lag_s, time_s, values) - np.interp(self.first_s + lag_s, time_s, values)
 
 
 class Lag(NamedTuple):
@@ -71,140 +73,125 @@ def _sharpen(image: np.ndarray) -> np.ndarray:
 
 def estimate_lag(pairs: Pairs, time_s: np.ndarray, yaw: np.ndarray) -> Lag | None:
     """The lag at which the wheels' heading (n,) [rad] at times (n,) [s] turns as the images; None: too few turns."""
-    known = np.abs(pairs.turned) > MIN_TURN_RAD
-    first_s, second_s, turned = (values[known] for values in pairs)
-    if len(turned) < MIN_PAIRS:
+    pairs = Pairs(*(values[np.abs(pairs.turned) > MIN_TURN_RAD] for values in pairs))
+    if len(pairs.turned) < MIN_PAIRS:
         return None
 
-    def turn_by_wheels(lag_s: float) -> np.ndarray:
-        return np.interp(second_s + lag_s, time_s, yaw) - np.interp(first_s + lag_s, time_s, yaw)
-
-    def differ(lag_s: float, sign: float = 1.0) -> np.ndarray:
-        return np.abs(wrap(sign * turned - turn_by_wheels(lag_s)))
+    def differ(lag_s: float, sign: float) -> np.ndarray:
+        return np.abs(wrap(sign * pairs.turned - pairs.follow(time_s, yaw, lag_s)))
 
     def best(sign: float) -> tuple[float, float]:
         lags = np.arange(-MAX_LAG_S, MAX_LAG_S + STEP_S / 2, STEP_S)
-        cost = np.array([np.minimum(differ(lag, sign) ** 2, OUTLIER_RAD**2).sum() for lag in lags])
+        cost = [np.minimum(differ(lag, sign) ** 2, OUTLIER_RAD**2).sum() for lag in lags]
         lag_s = float(lags[int(np.argmin(cost))])
         return lag_s, float((differ(lag_s, sign) < OUTLIER_RAD / 2).mean())
 
     (lag_s, agree), (_, mirrored) = best(1.0), best(-1.0)
-    ratio = float(np.median(np.abs(turn_by_wheels(lag_s) / turned)))
-    return Lag(round(lag_s, 4), agree, mirrored, len(turned), ratio)
+    ratio = float(np.median(np.abs(pairs.follow(time_s, yaw, lag_s) / pairs.turned)))
+    return Lag(round(lag_s, 4), agree, mirrored, len(pairs.turned), ratio)
 
 
-def measure_lag(
-    source: PolarSource, drive: LoggedDrive, file: IO[bytes], progress: Report
-) -> tuple[Lag | None, list[str]]:
-    """How much later than the images the wheels are, None: no turn shows it; and a note if many images do not turn.
+def compare_wheels(
+    source: PolarSource, drive: LoggedDrive, given: float | str, file: IO[bytes], progress: Report
+) -> tuple[float, list[str]]:
+    """The lag that counts [s], and what the user should know of wheels and images.
 
     Args:
         source: Images of the log.
         drive: Its drive.
+        given: The lag by the robot's file [s], or ``estimate``.
         file: Takes the images that are looked at.
         progress: Called with what is done.
 
     Raises:
-        InputError: Images turn where the wheels drive, and not where they turn: one wheel counts backward.
+        InputError: They contradict each other, or the lag cannot be estimated.
     """
-    pairs = _measure_pairs(source, _pair_images(drive, ("turn",), TURN_MARGIN_S), drive, file, progress)
-    by_wheels = _turn_by_wheels(pairs, drive)
-    _refuse_reversed(pairs, by_wheels, source, drive, file, progress)
-    lag = estimate_lag(pairs, drive.wheels.time_s, drive.path.yaw)
-    return lag, _doubt_images(pairs, by_wheels, source.topic)
+    numbers = [_pair_images(drive, in_turns) for in_turns in (True, False)]
+    wanted = np.unique(np.concatenate([one for two in numbers for one in two]))
+    images = source.draw(wanted.tolist(), file, progress, "see turns")
+
+    def measure(first: np.ndarray, second: np.ndarray) -> Pairs:
+        rows = zip(*np.searchsorted(wanted, (first, second)), strict=True)
+        turned = [measure_shift(images[one], images[other]) for one, other in rows]
+        return Pairs(drive.image_s[first], drive.image_s[second], np.array(turned))
+
+    turns, others = measure(*numbers[0]), measure(*numbers[1])
+    notes = judge_pairs(turns, others, drive.wheels.time_s, drive.path.yaw, drive.path.travelled_m, source.topic)
+    lag_s, more = choose_lag(given, estimate_lag(turns, drive.wheels.time_s, drive.path.yaw))
+    return lag_s, notes + more
 
 
-def _turn_by_wheels(pairs: Pairs, drive: LoggedDrive) -> np.ndarray:
-    """Turns by the wheels between the two images of pairs (p,) [rad]."""
-    time_s, yaw = drive.wheels.time_s, drive.path.yaw
-    return np.interp(pairs.second_s, time_s, yaw) - np.interp(pairs.first_s, time_s, yaw)
+def judge_pairs(
+    turns: Pairs, others: Pairs, time_s: np.ndarray, yaw: np.ndarray, travelled_m: np.ndarray, topic: str
+) -> list[str]:
+    """What the user should know of images that do not turn with the wheels, or turn without them.
 
+    Args:
+        turns: Pairs of images in turns in place by the wheels.
+        others: Other pairs.
+        time_s: Times of the wheels (n,) [s].
+        yaw: Heading by the wheels (n,) [rad].
+        travelled_m: Distance by the wheels (n,) [m].
+        topic: The images' topic.
 
-def _doubt_images(pairs: Pairs, by_wheels: np.ndarray, topic: str) -> list[str]:
-    """A note if images do not turn in many turns of the wheels."""
-    some = np.abs(by_wheels) > VISIBLE_TURN_RAD
-    still = some & (np.abs(pairs.turned) < MIN_TURN_RAD / 2)
-    if some.sum() < MIN_PAIRS or still.sum() <= MAX_STILL_SHARE * some.sum():
-        return []
-    return [
-        f"{topic}: in {still.sum() / some.sum():.0%} of {some.sum()} pairs taken while the wheels turn, images do not "
-        f"turn, first at {pairs.first_s[still].min():.1f} s: is the camera frozen or covered there?"
-    ]
-
-
-def _measure_pairs(
-    source: PolarSource, numbers: tuple[np.ndarray, np.ndarray], drive: LoggedDrive, file: IO[bytes], progress: Report
-) -> Pairs:
-    """The turns by the images between the first and second image of pairs, by their numbers (p,), (p,)."""
-    first, second = numbers
-    wanted = np.unique(np.concatenate([first, second]))
-    source.draw(wanted.tolist(), file, progress, "see turns")
-    images = source.map(file, len(wanted))
-    rows = np.searchsorted(wanted, first), np.searchsorted(wanted, second)
-    turned = [measure_shift(images[one], images[other]) for one, other in zip(*rows, strict=True)]
-    return Pairs(drive.image_s[first], drive.image_s[second], np.array(turned))
-
-
-def _refuse_reversed(
-    pairs: Pairs, by_wheels: np.ndarray, source: PolarSource, drive: LoggedDrive, file: IO[bytes], progress: Report
-) -> None:
-    """Raise InputError if the wheels turn against each other where images do not turn, and images where they do not.
-
-    Images that show nothing, as of a covered camera, turn nowhere, so they are no reason.
+    Raises:
+        InputError: One wheel counts backward, or both move alike while images turn.
     """
-    turned = pairs.turned[np.abs(by_wheels) > MIN_TURN_RAD]
-    if len(turned) < MIN_PAIRS or _share_turning(turned) >= MIN_SEEN_SHARE:
-        return
-    driven = _measure_pairs(source, _pair_images(drive, DRIVES, 0.0), drive, file, progress)
-    if len(driven.turned) >= MIN_PAIRS and _share_turning(driven.turned) > MIN_AGREEING_SHARE:
+    by_wheels, beside = turns.follow(time_s, yaw), others.follow(time_s, yaw)
+    seen, odd = np.abs(turns.turned[np.abs(by_wheels) > MIN_TURN_RAD]), np.abs(others.turned)
+    odd = odd[(np.abs(beside) < MIN_TURN_RAD / 2) & (odd > OUTLIER_RAD)]
+    share, degrees = len(odd) / max(len(others.turned), 1), np.degrees(odd.sum())
+    turning = np.abs(others.turned) > MIN_TURN_RAD / 2
+    if len(seen) >= MIN_PAIRS and (seen > MIN_TURN_RAD / 2).mean() < MIN_SEEN_SHARE:
+        # a turn to the left seems to go forward if the left wheel counts backward, and backward if the right one does
+        wheel = "left" if float(others.follow(time_s, travelled_m) @ others.turned) > 0 else "right"
+        if turning.sum() >= MIN_PAIRS and turning.mean() > MAX_ODD_SHARE:
+            raise InputError(
+                f"wheels.left, wheels.right: they turn against each other in {len(seen)} pairs of images of which "
+                f"{(seen > MIN_TURN_RAD / 2).mean():.0%} turn, and images turn where they do not: one of them counts "
+                f"backward, by the images the {wheel} one (wheels.backward)"
+            )
+    if len(odd) >= MIN_PAIRS and not len(seen) and np.abs(beside).max() < MIN_TURN_RAD:
         raise InputError(
-            f"wheels.left, wheels.right: they turn against each other in {len(turned)} pairs of images of which "
-            f"{_share_turning(turned):.0%} turn, and images turn where they do not: one of them counts backward, "
-            f"by the images the {_find_reversed(driven, drive)} one (wheels.backward)"
+            f"wheels.left, wheels.right: images turn by {degrees:.0f} deg in {len(odd)} of {len(others.turned)} pairs, "
+            "and the wheels never differ: do both joints move alike, or has the odometry no orientation?"
         )
+    notes = []
+    if len(odd) >= MIN_PAIRS and share > MAX_ODD_SHARE:
+        notes.append(
+            f"{topic}: in {share:.0%} of {len(others.turned)} pairs taken while the wheels do not turn, images do, by "
+            f"{degrees:.0f} deg in all: do wheels slip, or miss counts?"
+        )
+    some = np.abs(by_wheels) > VISIBLE_TURN_RAD
+    still = some & (np.abs(turns.turned) < MIN_TURN_RAD / 2)
+    if some.sum() >= MIN_PAIRS and still.sum() > MAX_ODD_SHARE * some.sum():
+        notes.append(
+            f"{topic}: in {still.sum() / some.sum():.0%} of {some.sum()} pairs taken while the wheels turn, images do "
+            f"not turn, first at {turns.first_s[still].min():.1f} s: is the camera frozen or covered there?"
+        )
+    return notes
 
 
-def _find_reversed(driven: Pairs, drive: LoggedDrive) -> str:
-    """Which wheel counts backward, by turns that the wheels took for driving.
-
-    A turn to the left seems to go forward if it is the left wheel, and backward if it is the right one.
-    """
-    time_s, travelled_m = drive.wheels.time_s, drive.path.travelled_m
-    distance_m = np.interp(driven.second_s, time_s, travelled_m) - np.interp(driven.first_s, time_s, travelled_m)
-    return "left" if float(distance_m @ driven.turned) > 0 else "right"
-
-
-def _share_turning(turned: np.ndarray) -> float:
-    """Share of turns between two images (p,) [rad] that are no error of measurement."""
-    return float((np.abs(turned) > MIN_TURN_RAD / 2).mean())
-
-
-def _pair_images(drive: LoggedDrive, kinds: Collection[Kind], around_s: float) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers of the first and second image of pairs in motions of some kinds and shortly before and after them.
-
-    The pairs are spread over the drive.
-    """
+def _pair_images(drive: LoggedDrive, in_turns: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Numbers of the first and second image of pairs in turns and shortly before and after, or elsewhere."""
     order = np.argsort(drive.image_s, kind="stable")
     order = order[np.isfinite(drive.image_s[order])]
     image_s, time_s = drive.image_s[order], drive.wheels.time_s
+    margin = TURN_MARGIN_S * np.array([-1.0, 1.0])
+    spans = [time_s[[one.first, one.last]] + margin for one in drive.motions if one.kind == "turn"]
     inside = np.zeros(len(order), bool)
-    for motion in drive.motions:
-        if motion.kind in kinds:
-            begin, end = time_s[motion.first] - around_s, time_s[motion.last] + around_s
-            inside[slice(*np.searchsorted(image_s, (begin, end)))] = True
+    for span in spans:
+        inside[slice(*np.searchsorted(image_s, span))] = True
+    fits: Callable[[np.ndarray], np.ndarray] = (lambda rows: inside[rows]) if in_turns else (lambda rows: ~inside[rows])
     second = np.searchsorted(image_s, image_s + PAIR_S[0])
-    rows = np.flatnonzero(inside & (second < len(order)))
-    rows = rows[inside[second[rows]] & (image_s[second[rows]] - image_s[rows] < PAIR_S[1])]
+    rows = np.flatnonzero((second < len(order)) & (image_s >= time_s[0]) & (image_s <= time_s[-1]))
+    rows = rows[fits(rows) & fits(second[rows]) & (image_s[second[rows]] - image_s[rows] < PAIR_S[1])]
     rows = rows[np.unique(np.linspace(0, len(rows) - 1, MAX_PAIRS).astype(int))] if len(rows) else rows
     return order[rows], order[second[rows]]
 
 
 def choose_lag(given: float | str, lag: Lag | None) -> tuple[float, list[str]]:
-    """The lag that counts, and what the user should know of it.
-
-    Args:
-        given: The lag by the robot's file [s], or ``estimate``.
-        lag: The lag by turns; None: they do not show it.
+    """The lag that counts [s], given or ``estimate``, and notes, by that of the turns; None: they do not show it.
 
     Raises:
         InputError: Images turn against the wheels, the wheels are not in radians, or the lag cannot be estimated.
@@ -233,6 +220,6 @@ def choose_lag(given: float | str, lag: Lag | None) -> tuple[float, list[str]]:
         )
     if given == "estimate":
         return lag.seconds, [*notes, f"the wheels are {1000 * lag.seconds:.0f} ms later than the images"]
-    if abs(lag.seconds - float(given)) > 0.02:
+    if abs(lag.seconds - float(given)) > MAX_LAG_ERROR_S:
         notes.append(f"wheels.lag_s is {given} s, but the turns show {lag.seconds:.3f} s")
     return float(given), notes

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -64,22 +63,38 @@ def plan_recording(
         spacing_m: Distance between images on a segment [m].
         ticks: Ticks of a revolution.
     """
-    chosen = [(number, _choose(motions, number, wheels, path, images, spacing_m)) for number in some]
-    chosen = [(number, rows) for number, rows in chosen if len(rows) >= 2]
-    builder = _Builder(images, ticks)
-    for (before, _), (number, rows) in pairwise([(-1, np.empty(0, int)), *chosen]):
-        if before < 0:
-            builder.begin(rows)
+    rows, turn_rows, used = list[int](), list[int](), list[int]()
+    readings = list[tuple[int, int, int]]()  # segment, observation, row of the image that tells the ticks
+    turns = list[tuple[int, int, int, int]]()
+    for number in some:
+        chosen = _choose(motions, number, wheels, path, images, spacing_m)
+        if len(chosen) < 2:
             continue
-        kind = judge_turn(motions[before + 1 : number], wheels, path)
-        last = builder.rows[-1]
-        after = _find_after(motions, number, wheels, path, images, last)
-        at_rest = _is_near(images, last, path, motions[before].last)
-        if kind == IN_PLACE and at_rest and after is not None:
-            builder.turn_in_place(rows, after, spacing_m)
-        else:
-            builder.begin(rows, kind)
-    return builder.finish(tuple(number for number, _ in chosen))
+        if used:
+            kind, last = judge_turn(motions[used[-1] + 1 : number], wheels, path), rows[-1]
+            after = _find_after(motions, number, wheels, path, images, last)
+            if kind == IN_PLACE and after is not None and _is_near(images, last, path, motions[used[-1]].last):
+                # the segment begins with the observation before the turn, which the image after it shows again
+                turns.append((len(rows) - 1, len(turn_rows), len(readings), IN_PLACE))
+                turn_rows.append(after)
+                readings.append((len(used), len(rows) - 1, after))
+                ahead_m = images.path.travelled_m[chosen] - images.path.travelled_m[after]
+                chosen = chosen[ahead_m >= MIN_SPACING_SHARE * spacing_m]
+            else:
+                turns.append((len(rows) - 1, NO_IMAGE, len(readings), kind))
+        readings += [(len(used), len(rows) + place, row) for place, row in enumerate(chosen.tolist())]
+        rows += chosen.tolist()
+        used.append(number)
+    table = np.array(readings, np.int64).reshape(-1, 3)
+    counts = np.rint(images.angle[table[:, 2]] * ticks / (2 * np.pi)).astype(np.int64)
+    return Plan(
+        observation=images.number[rows],
+        reading=np.column_stack([table[:, :2], counts]),
+        time_s=images.time_s[table[:, 2]],
+        turn_image=images.number[turn_rows],
+        turns=np.array(turns, np.int64).reshape(-1, 4),
+        motions=tuple(used),
+    )
 
 
 def judge_turn(between: Sequence[Motion], wheels: Wheels, path: Path) -> int:
@@ -142,65 +157,14 @@ def _find_after(
     """
     first, _ = _range_at_rest(motions, number)
     begin, end = np.searchsorted(images.wheel_s, wheels.time_s[[first, motions[number].last]])
-    return next(
-        (
-            row
-            for row in range(max(int(begin), last + 1), int(end))
-            if _is_near(images, row, path, motions[number].first)
-        ),
-        None,
-    )
+    rows = range(max(int(begin), last + 1), int(end))
+    return next((row for row in rows if _is_near(images, row, path, motions[number].first)), None)
 
 
 def _is_near(images: Images, row: int, path: Path, message: int) -> bool:
     """Whether an image was taken where the robot was at a message of the wheels, under the same heading."""
     apart_m = images.path.travelled_m[row] - path.travelled_m[message]
     return abs(apart_m) <= MATCH_M and abs(images.path.yaw[row] - path.yaw[message]) <= MATCH_RAD
-
-
-class _Builder:
-    """Collects observations, readings and turns in the order driven."""
-
-    def __init__(self, images: Images, ticks: int) -> None:
-        self.images, self.ticks = images, ticks / (2 * np.pi)
-        self.rows: list[int] = []
-        self.readings: list[tuple[int, int, int]] = []  # segment, observation, row of the image that tells the ticks
-        self.turn_rows: list[int] = []
-        self.turns: list[tuple[int, int, int, int]] = []
-        self.segment = -1
-
-    def begin(self, rows: np.ndarray, kind: int | None = None) -> None:
-        """Append a segment that begins with an observation of its own."""
-        if kind is not None:
-            self.turns.append((len(self.rows) - 1, NO_IMAGE, len(self.readings), kind))
-        self.segment += 1
-        self._extend(rows)
-
-    def turn_in_place(self, rows: np.ndarray, after: int, spacing_m: float) -> None:
-        """Append a segment that begins with the observation before the turn, which the image after it shows again."""
-        self.turns.append((len(self.rows) - 1, len(self.turn_rows), len(self.readings), IN_PLACE))
-        self.turn_rows.append(after)
-        self.segment += 1
-        self.readings.append((self.segment, len(self.rows) - 1, after))
-        place = self.images.path.travelled_m
-        self._extend(rows[place[rows] - place[after] >= MIN_SPACING_SHARE * spacing_m])
-
-    def _extend(self, rows: np.ndarray) -> None:
-        for row in rows.tolist():
-            self.readings.append((self.segment, len(self.rows), row))
-            self.rows.append(row)
-
-    def finish(self, motions: tuple[int, ...]) -> Plan:
-        table = np.array(self.readings, np.int64).reshape(-1, 3)
-        ticks = np.rint(self.images.angle[table[:, 2]] * self.ticks).astype(np.int64)
-        return Plan(
-            observation=self.images.number[self.rows],
-            reading=np.column_stack([table[:, :2], ticks]),
-            time_s=self.images.time_s[table[:, 2]],
-            turn_image=self.images.number[self.turn_rows],
-            turns=np.array(self.turns, np.int64).reshape(-1, 4),
-            motions=motions,
-        )
 
 
 MIN_COVERED_SHARE = 0.95
@@ -270,7 +234,11 @@ def describe(config: RobotConfig, source: PolarSource, drive: LoggedDrive, train
         },
         "start_ns": drive.clocks.start_ns,
         "duration_s": round(float(np.ptp(drive.wheels.time_s)), 3),
-        "camera": _describe_camera(config, source),
+        "camera": {
+            **{name: getattr(source.camera, name) for name in ("model", "size", "coefficients")},
+            **{"focal_px": source.camera.focal, "centre_px": source.camera.centre},
+            **{name: getattr(config.camera, name) for name in ("height_m", "forward_deg", "mirrored")},
+        },
         "images": len(drive.image_s),
         "images_used": sum(map(len, used)),
         "held_out": len(test.observation),
@@ -279,20 +247,6 @@ def describe(config: RobotConfig, source: PolarSource, drive: LoggedDrive, train
         "turns": {name: int((kind == number).sum()) for number, name in enumerate(KINDS)},
         "turns_seen": len(train.turn_image),
         "left_out": {name: _sum_up(drive, name) for name in OTHER_MOTIONS},
-    }
-
-
-def _describe_camera(config: RobotConfig, source: PolarSource) -> dict[str, Any]:
-    camera = source.camera
-    return {
-        "model": camera.model,
-        "size": list(camera.size),
-        "focal_px": list(camera.focal),
-        "centre_px": list(camera.centre),
-        "coefficients": list(camera.coefficients),
-        "height_m": config.camera.height_m,
-        "forward_deg": config.camera.forward_deg,
-        "mirrored": config.camera.mirrored,
     }
 
 

@@ -3,14 +3,13 @@
 import math
 from array import array
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from deepgps.robot_io.logs.containers import Log
 from deepgps.robot_io.logs.robot_config import WheelConfig
-from deepgps.robot_io.logs.sample import Part, Sample
+from deepgps.robot_io.logs.sample import Heard, Part, Sample
 from sim.errors import InputError, quote
 from sim.geometry import wrap
 
@@ -28,22 +27,17 @@ POSE_KINDS = (
 GAP_S = 0.5  # Longest time between two poses across which they are interpolated [s]
 
 
-@dataclass
-class WheelLog:
-    """The wheels of a log, in the order in which they were logged.
+class WheelLog(Heard):
+    """The wheels of a log; only positions are read, since TurtleBot3 writes m/s where the message promises rad/s."""
 
-    Only positions are read: TurtleBot3 writes m/s where the message promises rad/s.
-    """
-
-    config: WheelConfig  # Topic, names and sizes of the wheels
-    from_odometry: bool  # Whether the angles are computed from an odometry's path
-    log_ns: array = field(default_factory=lambda: array("q"))  # When each message was logged (n,) [ns]
-    stamp_ns: array = field(default_factory=lambda: array("q"))  # Its stamp (n,) [ns]; 0: none
-    # Angles of the left and of the right wheel [rad], in turn; NaN where a message lacks one
-    values: array = field(default_factory=lambda: array("d"))
-    without: int = 0  # Messages without any wheel
-    names: set[str] = field(default_factory=set)  # Names of all joints
-    _path: "OdometryPath | None" = None
+    def __init__(self, config: WheelConfig, from_odometry: bool) -> None:
+        super().__init__(config.topic)
+        self.config, self.from_odometry = config, from_odometry
+        self.values = array("d")  # Angles of the left and of the right wheel [rad], in turn; NaN where one is missing
+        self.without = 0  # Messages without any wheel
+        self.names = set[str]()  # Names of all joints
+        self.speeds_only = True  # Whether no message of joints holds a position
+        self._path = OdometryPath(config.radius_m, config.track_m)
 
     @property
     def angle(self) -> np.ndarray:
@@ -53,40 +47,50 @@ class WheelLog:
     def take(self, sample: Sample, part: Part) -> None:
         """Read a message; one without any wheel is only counted."""
         message = part.decode(sample)
-        left, right = self._follow(message.pose.pose) if self.from_odometry else self._find(message)
+        left, right = self._path.follow(message.pose.pose) if self.from_odometry else self._find(message)
         if math.isnan(left) and math.isnan(right):
             self.without += 1
             return
-        self.log_ns.append(sample.log_ns)
-        self.stamp_ns.append(sample.stamp_ns)
+        super().take(sample, part)
         self.values.extend((left, right))
 
-    @property
-    def goes_sideways(self) -> bool:
-        """Whether an odometry's path goes sideways by more than its noise does."""
-        return self._path is not None and self._path.sideways_m > MAX_SIDEWAYS_SHARE * self._path.distance_m
+    def list_notes(self) -> list[str]:
+        """What the user should know of the messages."""
+        notes, path = [], self._path
+        if self.without:
+            why = f"are left out: {UNUSABLE_NOTE}" if self.from_odometry else "hold neither wheel"
+            notes.append(f"{self.topic}: {self.without} messages {why}")
+        if self.from_odometry:
+            notes.append(f"{self.topic}: wheels are computed from the odometry, so they cannot be diagnosed")
+        if path.sideways_m > MAX_SIDEWAYS_SHARE * path.distance_m:
+            notes.append(f"{self.topic}: the odometry goes sideways, as no wheels can: is its orientation right?")
+        return notes
 
     def check(self) -> None:
         """Raise InputError unless there are positions of both wheels."""
-        topic = self.config.topic
         if not self.names and not self.log_ns:
             why = f": in {self.without} messages {UNUSABLE_NOTE}" if self.without else ""
-            raise InputError(f"{topic} holds no message of wheels{why}")
+            raise InputError(f"{self.topic} holds no message of wheels{why}")
+        if not self.from_odometry and self.speeds_only:
+            raise InputError(f"{self.topic}: positions are empty in all messages, and the wheels' angles are needed")
         known = [bool(np.isfinite(wheel).any()) for wheel in self.angle.T]
         for name, has in zip((self.config.left, self.config.right), known, strict=True):
             if not has:
                 there = ", ".join(sorted(self.names)[:12])
-                raise InputError(f"{topic} has no position of a joint {quote(name)}; its joints are {there}")
+                raise InputError(f"{self.topic} has no position of a joint {quote(name)}; its joints are {there}")
 
     def _find(self, message: Any) -> tuple[float, float]:
         self.names.update(message.name)
-        left, right = (_take_angle(message, name, self.config.topic) for name in (self.config.left, self.config.right))
+        self.speeds_only &= not len(message.position)
+        left, right = (self._take_angle(message, name) for name in (self.config.left, self.config.right))
         backward = self.config.backward
         return -left if backward in {"left", "both"} else left, -right if backward in {"right", "both"} else right
 
-    def _follow(self, pose: Any) -> tuple[float, float]:
-        self._path = self._path or OdometryPath(self.config.radius_m, self.config.track_m)
-        return self._path.follow(float(pose.position.x), float(pose.position.y), read_yaw(pose.orientation))
+    def _take_angle(self, message: Any, wanted: str) -> float:
+        """The position of a joint in a message, which may hold only some joints or no positions; NaN: not there."""
+        index = find_joint(message.name, wanted, self.topic)
+        value = float(message.position[index]) if index < len(message.position) else math.nan
+        return value if math.isfinite(value) else math.nan
 
 
 def open_wheels(log: Log, config: WheelConfig) -> WheelLog:
@@ -97,28 +101,20 @@ def open_wheels(log: Log, config: WheelConfig) -> WheelLog:
     return WheelLog(config, from_odometry)
 
 
-def find_joint(names: Sequence[str], wanted: str) -> int | None:
-    """Index of a joint by its name or the end of its name after a prefix such as ``tb3_0/``.
+def find_joint(names: Sequence[str], wanted: str, topic: str) -> int:
+    """Index of a joint by its name or the end of its name after a prefix such as ``tb3_0/``; beyond the last: none.
 
     Raises:
-        InputError: Two joints have such names.
+        InputError: Two joints of the topic have such names.
     """
     same = [index for index, name in enumerate(names) if name == wanted]
     like = same or [index for index, name in enumerate(names) if name.endswith((f"/{wanted}", f".{wanted}"))]
     if len(like) > 1:
-        raise InputError(f"{wanted}: several joints have this name, {', '.join(names[index] for index in like)}")
-    return like[0] if like else None
-
-
-def _take_angle(message: Any, wanted: str, topic: str) -> float:
-    """The position of a joint in a message, which may hold only some joints or no positions; NaN: not there."""
-    try:
-        index = find_joint(message.name, wanted)
-    except InputError as error:
-        raise InputError(f"{topic}: {error}; give the complete name in wheels.left and wheels.right") from None
-    there = index is not None and index < len(message.position)
-    value = float(message.position[index]) if there and index is not None else math.nan
-    return value if math.isfinite(value) else math.nan
+        raise InputError(
+            f"{topic}: {wanted}: several joints have this name, {', '.join(names[index] for index in like)}; give the "
+            "complete name in wheels.left and wheels.right"
+        )
+    return like[0] if like else len(names)
 
 
 class OdometryPath:
@@ -135,8 +131,9 @@ class OdometryPath:
         self._travelled = self._turned = 0.0
         self.distance_m = self.sideways_m = 0.0
 
-    def follow(self, x: float, y: float, yaw: float) -> tuple[float, float]:
-        """Angles of the left and of the right wheel [rad] at the next pose [m], [rad]; NaN if it is not finite."""
+    def follow(self, pose: Any) -> tuple[float, float]:
+        """Angles of the left and of the right wheel [rad] at the next pose's message; NaN if it is not finite."""
+        x, y, yaw = float(pose.position.x), float(pose.position.y), read_yaw(pose.orientation)
         if not all(map(math.isfinite, (x, y, yaw))):
             return math.nan, math.nan
         if self._before is not None:
@@ -162,14 +159,13 @@ def read_yaw(turn: Any) -> float:
     return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
-@dataclass
-class PoseLog:
-    """Poses in the order in which they were logged."""
+class PoseLog(Heard):
+    """The poses of a log."""
 
-    log_ns: array = field(default_factory=lambda: array("q"))  # When each was logged (n,) [ns]
-    stamp_ns: array = field(default_factory=lambda: array("q"))  # Its stamp (n,) [ns]; 0: none
-    values: array = field(default_factory=lambda: array("d"))  # x, y [m] and yaw [rad] of each, one after the other
-    without: int = 0  # Messages that tell no pose and are left out
+    def __init__(self, topic: str) -> None:
+        super().__init__(topic)
+        self.values = array("d")  # x, y [m] and yaw [rad] of each, one after the other
+        self.without = 0  # Messages that tell no pose and are left out
 
     @property
     def pose(self) -> np.ndarray:
@@ -177,26 +173,31 @@ class PoseLog:
         return np.array(self.values).reshape(-1, 3)
 
     def take(self, sample: Sample, part: Part) -> None:
-        """Read a message; one that tells no pose is only counted."""
-        pose = _take_pose(part.decode(sample))
+        """Read a message of any of the types; one that tells no pose is only counted."""
+        message = part.decode(sample)
+        if hasattr(message, "transform"):
+            place, turn = message.transform.translation, message.transform.rotation
+        else:
+            inner = message.pose.pose if hasattr(message.pose, "pose") else message.pose
+            place, turn = inner.position, inner.orientation
+        pose = float(place.x), float(place.y), read_yaw(turn)
         if not all(map(math.isfinite, pose)):
             self.without += 1
             return
-        self.log_ns.append(sample.log_ns)
-        self.stamp_ns.append(sample.stamp_ns)
+        super().take(sample, part)
         self.values.extend(pose)
 
-    def check(self, topic: str) -> None:
+    def check(self) -> None:
         """Raise InputError if there is no pose."""
         if not self.log_ns:
             why = f": in {self.without} messages {UNUSABLE_NOTE}" if self.without else ""
-            raise InputError(f"pose.topic {topic} holds no pose{why}")
+            raise InputError(f"pose.topic {self.topic} holds no pose{why}")
 
 
 def open_poses(log: Log, topic: str) -> PoseLog:
     """Prepare to read the poses of a topic; raises InputError if there is no such topic."""
     log.check_topic(topic, "pose.topic", POSE_KINDS)
-    return PoseLog()
+    return PoseLog(topic)
 
 
 def find_poses(time_s: np.ndarray, pose: np.ndarray, at_s: np.ndarray) -> np.ndarray:
@@ -220,13 +221,3 @@ def find_poses(time_s: np.ndarray, pose: np.ndarray, at_s: np.ndarray) -> np.nda
     before, after = np.clip(after - 1, 0, None), np.clip(after, None, len(time_s) - 1)
     found[~(inside & (time_s[after] - time_s[before] <= GAP_S))] = np.nan
     return found
-
-
-def _take_pose(message: Any) -> tuple[float, float, float]:
-    """x, y [m] and yaw [rad] of a message of any of the types."""
-    if hasattr(message, "transform"):
-        place, turn = message.transform.translation, message.transform.rotation
-    else:
-        pose = message.pose.pose if hasattr(message.pose, "pose") else message.pose
-        place, turn = pose.position, pose.orientation
-    return float(place.x), float(place.y), read_yaw(turn)

@@ -1,15 +1,13 @@
 """The images of a log: their times, and those that are wanted, decoded one at a time, in every usual encoding."""
 
-from array import array
 from collections.abc import Callable, Collection, Iterator
-from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 
 from deepgps.robot_io.logs.containers import Log
-from deepgps.robot_io.logs.sample import Part, Sample
+from deepgps.robot_io.logs.sample import Heard
 from sim.errors import InputError, one_line, quote
 
 RAW_IMAGE, COMPRESSED_IMAGE = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
@@ -124,18 +122,8 @@ def decode_compressed(message: Any) -> np.ndarray:
     return cv2.cvtColor(pixels, code)
 
 
-@dataclass
-class ImageList:
-    """Times of a topic's images, in the order in which they were logged."""
-
-    topic: str  # The topic
-    log_ns: array = field(default_factory=lambda: array("q"))  # When each was logged (n,) [ns]
-    stamp_ns: array = field(default_factory=lambda: array("q"))  # Its stamp (n,) [ns]; 0: none
-
-    def take(self, sample: Sample, part: Part) -> None:
-        """Note the times of an image, without decoding it."""
-        self.log_ns.append(sample.log_ns)
-        self.stamp_ns.append(sample.stamp_ns)
+class ImageList(Heard):
+    """Times of a topic's images, which are not decoded."""
 
     def check(self) -> None:
         """Raise InputError if there is no image."""

@@ -44,9 +44,11 @@ class WheelConfig(Group):
 class Intrinsics(Group):
     """Calibration of the camera, if the log has none; as in a CameraInfo."""
 
-    model: Literal["equidistant", "fisheye", "kannala_brandt", "plumb_bob", "rational_polynomial"] = "equidistant"
+    model: Literal["equidistant", "fisheye", "kannala_brandt", "plumb_bob", "rational_polynomial", "omni"] = (
+        "equidistant"
+    )
     """Model of the lens: equidistant, fisheye and kannala_brandt are the same, with 4 coefficients; plumb_bob has 5,
-    rational_polynomial 8."""
+    rational_polynomial 8, and omni 5: xi, k1, k2, p1, p2."""
     width: int = Field(ge=16, le=32_000)
     """Columns of the image."""
     height: int = Field(ge=16, le=32_000)
@@ -59,8 +61,8 @@ class Intrinsics(Group):
     """Column of the optical axis [px]."""
     cy: float = Field(ge=0.0, le=32_000.0)
     """Row of the optical axis [px]."""
-    coefficients: tuple[float, ...] = Field(default=(), max_length=8)
-    """Distortion coefficients; missing ones are 0."""
+    coefficients: tuple[float, ...] = Field(default=(), max_length=14)
+    """Distortion coefficients; missing ones are 0, and more of them must be."""
 
 
 class CameraConfig(Group):
@@ -71,7 +73,7 @@ class CameraConfig(Group):
     info: str | None = Field(default=None, max_length=300)
     """Topic of the calibration, a CameraInfo; None: ``intrinsics`` or ``file``."""
     file: Path | None = None
-    """File of the calibration, as ROS's camera_calibration writes it; relative to this one."""
+    """File of the calibration, by ROS's camera_calibration, Kalibr or OpenCV; relative to this one."""
     intrinsics: Intrinsics | None = None
     """The calibration itself."""
     field_of_view_deg: float | None = Field(default=None, ge=60.0, le=190.0)

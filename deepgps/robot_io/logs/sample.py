@@ -1,7 +1,9 @@
 """A message of a log, a part of a log, and errors of those who read them in one line."""
 
+from array import array
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -33,6 +35,20 @@ class Part(Protocol):
     def decode(self, sample: Sample) -> Any:
         """The message with its fields; raises InputError if it is damaged."""
         ...
+
+
+@dataclass
+class Heard:
+    """Times of a topic's messages, in the order of the files."""
+
+    topic: str  # The topic
+    log_ns: array = field(default_factory=lambda: array("q"), init=False)  # When each was logged (n,) [ns]
+    stamp_ns: array = field(default_factory=lambda: array("q"), init=False)  # Its stamp (n,) [ns]; 0: none
+
+    def take(self, sample: Sample, part: Part) -> None:
+        """Note the times of a message."""
+        self.log_ns.append(sample.log_ns)
+        self.stamp_ns.append(sample.stamp_ns)
 
 
 @contextmanager

@@ -29,6 +29,7 @@ MIN_TOP_SPEED_RADPS = 1.0  # Least top speed that is assumed [rad/s]
 MAX_JUMP_SHARE = 0.02  # Share of jumps from which another program is assumed to publish the same joints
 MAX_REVERSALS = 8  # Messages in a row after each of which a wheel turns back: no robot moves so
 REVERSAL_SHARE = 0.1  # The same share of messages of which one wheel jumps there and back
+MIN_RESTARTS = 2  # Restarts of a counter, all at one count, from which this is its range
 MIN_MESSAGES = 20  # Fewest messages of wheels that a drive has
 MAX_NOTES = 5  # Notes of one kind
 
@@ -61,7 +62,12 @@ class Wheels:
 
 
 def clean_wheels(
-    time_s: np.ndarray, angle: np.ndarray, ticks_per_rev: int, topic: str, image_s: np.ndarray | None = None
+    time_s: np.ndarray,
+    angle: np.ndarray,
+    ticks_per_rev: int,
+    topic: str,
+    image_s: np.ndarray | None = None,
+    from_odometry: bool = False,
 ) -> Wheels:
     """Put the messages of the wheels in order.
 
@@ -71,6 +77,7 @@ def clean_wheels(
         ticks_per_rev: Ticks of a revolution, by which a counter of 16 or 32 bits wraps around.
         topic: Name for messages.
         image_s: Times of images [s]; None: none are known, and no pause of the log either.
+        from_odometry: Whether the angles are computed from an odometry's path.
 
     Raises:
         InputError: There are too few messages, or the angles jump back and forth.
@@ -78,17 +85,15 @@ def clean_wheels(
     time_s, angle = _join_wheels(time_s, angle, ticks_per_rev)
     if len(time_s) < MIN_MESSAGES:
         raise InputError(f"{topic} has {len(time_s)} messages with both wheels; a drive has at least {MIN_MESSAGES}")
-    notes = []
-    _refuse_back_and_forth(time_s, angle, topic)
-    angle, full, wrapped = _unwrap(angle, ticks_per_rev)
-    if wrapped:
-        notes.append(f"{topic}: a counter wrapped around {wrapped} times")
+    _refuse_back_and_forth(time_s, angle, topic, from_odometry)
+    angle, full, repairs = _unwrap(angle, ticks_per_rev)
+    notes = [f"{topic}: {one}" for one in repairs]
     jumps = _find_jumps(time_s, angle)
     back = np.abs(angle[2:] - angle[:-2]) < np.abs(angle[1:-1] - angle[:-2])
     spike = jumps[:-1] & jumps[1:] & back.any(axis=1)
     first = time_s[np.argmax(jumps)]
     if jumps.sum() > max(MAX_JUMP_SHARE * len(time_s), 4):
-        raise _jumping(topic, first)
+        raise _jumping(topic, first, from_odometry)
     if spike.any():
         kept = np.append(np.insert(~spike, 0, True), True)
         time_s, angle = time_s[kept], angle[kept]
@@ -140,7 +145,7 @@ def _find_gaps(
     return moved & ~lost & ~paused, lost, paused
 
 
-def _refuse_back_and_forth(time_s: np.ndarray, angle: np.ndarray, topic: str) -> None:
+def _refuse_back_and_forth(time_s: np.ndarray, angle: np.ndarray, topic: str, from_odometry: bool) -> None:
     """Raise InputError if two programs take turns, so that wheels jump in many steps, or a clock repeats a while."""
     step = np.diff(angle, axis=0)
     size = np.abs(step)
@@ -148,17 +153,21 @@ def _refuse_back_and_forth(time_s: np.ndarray, angle: np.ndarray, topic: str) ->
     turned = (step[1:] * step[:-1] < 0) & (low > REST_RAD) & (low > high / 2)
     back = np.asarray(turned.any(axis=1))
     if back.mean() > REVERSAL_SHARE:
-        raise _jumping(topic, float(time_s[np.argmax(back)]))
+        raise _jumping(topic, float(time_s[np.argmax(back)]), from_odometry)
     for first, last in find_stretches(back).tolist():
         if last - first >= MAX_REVERSALS:
-            raise _jumping(topic, float(time_s[first]))
+            raise _jumping(topic, float(time_s[first]), from_odometry)
 
 
-def _jumping(topic: str, at_s: float) -> InputError:
-    return InputError(
-        f"{topic} at {at_s:.2f} s: the wheels' angles jump back and forth, as if more than one program published them "
-        "(record only the one of the wheels), or as if the recorder's clock was set back"
-    )
+def _jumping(topic: str, at_s: float, from_odometry: bool) -> InputError:
+    if from_odometry:
+        why = "the odometry jumps, as one that is corrected by other sensors: give the wheels' own"
+    else:
+        why = (
+            "the wheels' angles jump back and forth, as if more than one program published them (record only the one "
+            "of the wheels), or as if the recorder's clock was set back"
+        )
+    return InputError(f"{topic} at {at_s:.2f} s: {why}")
 
 
 def _join_wheels(time_s: np.ndarray, angle: np.ndarray, ticks_per_rev: int) -> tuple[np.ndarray, np.ndarray]:
@@ -214,14 +223,14 @@ def _find_usual_top(size: np.ndarray) -> float:
     return float(np.percentile(moving, 95)) if len(moving) else 0.0
 
 
-def _unwrap(angle: np.ndarray, ticks_per_rev: int) -> tuple[np.ndarray, np.ndarray, int]:
-    """Angles without the jumps of a counter that wraps around at a turn of the wheel, or at 16 or 32 bits.
+def _unwrap(angle: np.ndarray, ticks_per_rev: int) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Angles without the jumps of a counter that wraps around at a turn of the wheel, at 16 or 32 bits, or where else
+    it always does.
 
     Returns:
-        The angles (n, 2) [rad], the angle at which each wheel's counter wraps (2,), infinite if it does not, and how
-        often one wrapped.
+        The angles (n, 2) [rad], the angle at which each wheel's counter wraps (2,), infinite if it does not, and notes.
     """
-    step, wraps, wrapped = np.diff(angle, axis=0), np.full(angle.shape[1], np.inf), 0
+    step, wraps, wrapped, notes = np.diff(angle, axis=0), np.full(angle.shape[1], np.inf), 0, list[str]()
     for full in (2 * np.pi, *(2 * np.pi * 2**bits / ticks_per_rev for bits in (16, 32))):
         turns = np.rint(step / full)
         short = step - turns * full
@@ -231,7 +240,32 @@ def _unwrap(angle: np.ndarray, ticks_per_rev: int) -> tuple[np.ndarray, np.ndarr
         step = np.where(fits, short, step)
         wraps = np.where(fits.any(axis=0), np.minimum(wraps, full), wraps)
         wrapped += int(fits.any(axis=1).sum())
-    return angle[:1] + np.concatenate([np.zeros((1, angle.shape[1])), np.cumsum(step, axis=0)]), wraps, wrapped
+    if wrapped:
+        notes.append(f"a counter wrapped around {wrapped} times")
+    for wheel, one in enumerate(step.T):
+        rows, full = _find_range(one, 2 * np.pi / ticks_per_rev)
+        one[rows] -= full * np.sign(one[rows])
+        if len(rows):
+            wraps[wheel] = full
+            ticks = full * ticks_per_rev / (2 * np.pi)
+            notes.append(f"a counter restarts {len(rows)} times after {ticks:.0f} ticks, which is taken as its range")
+    return angle[:1] + np.concatenate([np.zeros((1, angle.shape[1])), np.cumsum(step, axis=0)]), wraps, notes
+
+
+def _find_range(step: np.ndarray, tick: float) -> tuple[np.ndarray, float]:
+    """Where in steps (n - 1,) [rad] a wheel's counter restarts, if it always does so at one count, and its range [rad].
+
+    There, the counter jumps against the motion, and by the same angle.
+    """
+    top = _find_usual_top(np.abs(step))
+    rows = np.flatnonzero(np.abs(step) > JUMP_SPEED_RATIO * top + REST_RAD)
+    if len(rows) < MIN_RESTARTS or rows[0] == 0 or rows[-1] == len(step) - 1 or np.diff(rows).min() < 3:
+        return rows[:0], 0.0
+    around = (step[rows - 1] + step[rows + 1]) / 2
+    jump = step[rows] - around
+    if (jump * around >= 0).any() or np.ptp(np.abs(jump)) > REST_RAD + top / 2:
+        return rows[:0], 0.0
+    return rows, float(np.rint(np.abs(jump).mean() / tick) * tick)
 
 
 def fill_counts(wheels: Wheels, topic: str) -> Wheels:

@@ -137,13 +137,22 @@ class RoundImage:
         _check(image, self.centre, self.radius_px, rings, sectors, self.forward_deg)
 
 
-Model = Literal["equidistant", "plumb_bob", "rational_polynomial"]
+Model = Literal["equidistant", "plumb_bob", "omni"]
 MODELS: dict[str, Model] = {
     **dict.fromkeys(("equidistant", "fisheye", "kannala_brandt"), "equidistant"),
     **dict.fromkeys(("plumb_bob", "rational_polynomial"), "plumb_bob"),
+    "omni": "omni",
 }
-"""Model by the names that drivers and calibration programs use; the rational one has more coefficients of OpenCV's."""
-COEFFICIENTS = {"equidistant": 4, "fisheye": 4, "kannala_brandt": 4, "plumb_bob": 5, "rational_polynomial": 8}
+"""Model by the names that drivers and calibration programs use; the rational one has more coefficients of OpenCV's, and
+the first of omni is the distance of its centres, xi."""
+COEFFICIENTS = {
+    "equidistant": 4,
+    "fisheye": 4,
+    "kannala_brandt": 4,
+    "plumb_bob": 5,
+    "rational_polynomial": 8,
+    "omni": 5,
+}
 MAX_FISHEYE_ANGLE, MAX_PINHOLE_ANGLE = np.radians(95.0), np.radians(80.0)
 """Largest angle from the axis that is used, of a fisheye and of a pinhole with distortion [rad]."""
 STEPS = 951
@@ -165,17 +174,20 @@ class RawCamera:
             radius = distort(theta, self.coefficients)
             x, y = radius * np.cos(azimuth), radius * np.sin(azimuth)
             return self.focal[0] * x + self.centre[0], self.focal[1] * y + self.centre[1]
-        across = np.tan(theta)
+        xi, distortion = (
+            (0.0, self.coefficients) if self.model != "omni" else (self.coefficients[0], self.coefficients[1:])
+        )
+        across = np.sin(theta) / np.maximum(np.cos(theta) + xi, 1e-9)
         points = np.stack([across * np.cos(azimuth), across * np.sin(azimuth), np.ones_like(across + azimuth)], axis=-1)
         matrix = np.array([[self.focal[0], 0, self.centre[0]], [0, self.focal[1], self.centre[1]], [0, 0, 1.0]])
         none = np.zeros(3)
-        pixels, _ = cv2.projectPoints(points.reshape(-1, 1, 3), none, none, matrix, np.array(self.coefficients))
+        pixels, _ = cv2.projectPoints(points.reshape(-1, 1, 3), none, none, matrix, np.array(distortion))
         return tuple(pixels.reshape(*points.shape[:-1], 2).transpose(-1, *range(points.ndim - 1)))
 
     def find_half_angle(self, circle_px: float | None = None) -> float:
         """Largest angle from the axis [rad] up to which all directions are inside the image and the image circle, if
         any [px]."""
-        widest = MAX_FISHEYE_ANGLE if MODELS[self.model] == "equidistant" else MAX_PINHOLE_ANGLE
+        widest = MAX_PINHOLE_ANGLE if MODELS[self.model] == "plumb_bob" else MAX_FISHEYE_ANGLE
         theta, azimuth = np.linspace(0.0, widest, STEPS)[:, None], np.linspace(0.0, 2 * np.pi, 360, endpoint=False)
         column, row = self.project(theta, azimuth[None])
         away = np.hypot(column - self.centre[0], row - self.centre[1])

@@ -13,13 +13,13 @@ from sim.errors import InputError
 
 START_NS, DRIVE_S = 1_700_000_000 * 10**9, 40.0
 PERIOD_S = {"wheels": 0.05, "camera": 0.1}
-TRUE = {topic: np.arange(0.03, DRIVE_S, period_s) for topic, period_s in PERIOD_S.items()}
+TIME_S = {topic: np.arange(0.03, DRIVE_S, period_s) for topic, period_s in PERIOD_S.items()}
 
 
 def make(**changes: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Times of logging and stamps [ns] with delays of some ms; a change is added to the stamps of its topic [s]."""
     rng, logs = np.random.default_rng(0), {}
-    for topic, time_s in TRUE.items():
+    for topic, time_s in TIME_S.items():
         logged_s = np.maximum.accumulate(time_s + 0.003 + rng.exponential(0.002, len(time_s)))
         stamp_s = time_s + changes.get(topic, 0.0)
         logs[topic] = tuple(START_NS + np.rint(1e9 * one).astype(np.int64) for one in (logged_s, stamp_s))
@@ -27,21 +27,21 @@ def make(**changes: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray]]:
 
 
 def change(topic: str, begin_s: float, end_s: float, by_s: float) -> dict[str, np.ndarray]:
-    time_s = TRUE[topic]
+    time_s = TIME_S[topic]
     return {topic: by_s * ((time_s >= begin_s) & (time_s < end_s))}
 
 
 def check_times(logs: dict, logged: bool, within_s: float = 0.02, lost: int = 0) -> None:
     """All times but some are the true ones, but for a constant of the topic."""
     for topic, time_s in choose_times(logs, logged).time_s.items():
-        error_s = time_s - TRUE[topic]
+        error_s = time_s - TIME_S[topic]
         assert np.isnan(error_s).sum() <= lost
         assert np.nanmax(np.abs(error_s - np.nanmedian(error_s))) <= within_s
 
 
 @settings(max_examples=30, deadline=None)
 @given(
-    st.sampled_from(sorted(TRUE)),
+    st.sampled_from(sorted(TIME_S)),
     st.floats(1.0, DRIVE_S - 2.0),
     st.floats(0.4, 60.0),
     st.sampled_from((-1, 1)),
@@ -65,7 +65,7 @@ def test_a_clock_that_is_set_or_jumps_for_a_while_is_refused_and_times_of_loggin
 
 @given(st.sampled_from((-1, 1)), st.floats(0.5, 1e8), st.floats(-1e-4, 1e-4))
 def test_clocks_apart_are_refused_and_times_of_logging_are_right(sign: int, apart_s: float, drift: float) -> None:
-    logs = make(camera=sign * apart_s + drift * TRUE["camera"])
+    logs = make(camera=sign * apart_s + drift * TIME_S["camera"])
     with pytest.raises(InputError, match=r"the clock of camera differs from that of wheels by [+-]\d+"):
         choose_times(logs, False)
     check_times(logs, True)
@@ -74,7 +74,7 @@ def test_clocks_apart_are_refused_and_times_of_logging_are_right(sign: int, apar
 @given(st.lists(st.integers(5, 390), min_size=1, max_size=4, unique=True), st.floats(0.2, 1e8), st.booleans())
 def test_a_few_outliers_are_left_out_with_their_number(rows: list[int], by_s: float, ahead: bool) -> None:
     rows = [row for row in rows if not {row - 1, row - 2} & {*rows}]
-    stamp = np.zeros(len(TRUE["camera"]))
+    stamp = np.zeros(len(TIME_S["camera"]))
     stamp[rows] = by_s if ahead else -by_s
     logs = make(camera=stamp)
     (note,) = choose_times(logs, False).notes
@@ -83,7 +83,7 @@ def test_a_few_outliers_are_left_out_with_their_number(rows: list[int], by_s: fl
 
 
 def test_many_outliers_are_refused() -> None:
-    stamp = np.zeros(len(TRUE["camera"]))
+    stamp = np.zeros(len(TIME_S["camera"]))
     stamp[10:200:20] = 4.0
     with pytest.raises(InputError, match=r"camera: 10 of 400 messages are stamped otherwise than .*, first at 1\.0 s"):
         choose_times(make(camera=stamp), False)

@@ -2,15 +2,16 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 
 from deepgps.commands.main import main
 from deepgps.robot_io.logs import containers
-from deepgps.robot_io.logs.camera import read_calibration
 from deepgps.robot_io.logs.look import look
-from deepgps.robot_io.logs.robot_config import RobotConfig, load_config
+from deepgps.robot_io.logs.robot_config import load_config
 from deepgps.terminal.progress import ignore
 from sim.errors import InputError
 from sim.files.checksums import read_json, sha256
@@ -19,7 +20,9 @@ from tests.helpers.robot_log import (
     CAMERA,
     CAMERA_INFO,
     JOINTS,
+    START_NS,
     TRUTH,
+    Note,
     change,
     make_notes,
     set_fields,
@@ -30,14 +33,38 @@ from tests.helpers.robot_log import (
 
 
 @pytest.fixture(scope="module")
-def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_log(tmp_path_factory.mktemp("look") / "log", make_notes("image/jpeg"), "mcap_lz4")
+def notes() -> list[Note]:
+    return make_notes("image/jpeg")
 
 
-def test_the_proposed_file_imports_the_log(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.fixture(scope="module")
+def log(notes: list[Note], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_log(tmp_path_factory.mktemp("look") / "log", notes, "mcap_lz4")
+
+
+def look_at(folder: Path, notes: list[Note]) -> tuple[str, dict[str, Any]]:
+    """What is said of the first second of some messages, and the values that are proposed."""
+    some = [one for one in notes if one.log_ns < START_NS + 10**9]
+    said = look(write_log(folder / "log", some, "mcap_lz4"), ignore)
+    return said, yaml.safe_load(said)
+
+
+def rename(notes: list[Note], *names: str) -> list[Note]:
+    angles = np.zeros(len(names))
+    return change(notes, JOINTS, lambda _, note: set_fields(note, name=[*names], position=angles))
+
+
+def test_the_proposed_file_imports_the_log_when_what_is_open_is_given(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     main(["import", str(log), "--look"])
     said = capsys.readouterr().out
     config = tmp_path / "robot.yaml"
+    config.write_text(said)
+    with pytest.raises(InputError, match=r"wheels\.radius_m None: must be"):
+        load_config(config)
+    for name, value in (("radius_m", 0.033), ("track_m", 0.16), ("height_m", 0.35), ("forward_deg", 0)):
+        said = said.replace(f"{name}:  #", f"{name}: {value}  #")
     config.write_text(said)
     main(["import", str(log), "--config", str(config), "--out", str(tmp_path / "mine")])
     said = capsys.readouterr().out
@@ -46,9 +73,6 @@ def test_the_proposed_file_imports_the_log(log: Path, tmp_path: Path, capsys: py
     manifest = read_json(tmp_path / "mine" / "manifest.json")
     assert manifest["source"] == "log" and manifest["log"]["config_sha256"] == sha256(config)
     assert manifest["settings"]["camera"]["field_of_view_deg"] == pytest.approx(143.24, abs=0.3)
-    with pytest.raises(SystemExit) as ended:
-        main(["import", str(log), "--config", str(config), "--out", str(tmp_path / "mine")])
-    assert ended.value.code == 2 and "is not empty" in capsys.readouterr().err
     for words in (["--look", "--out", "x"], [], ["--out", "x"]):
         with pytest.raises(SystemExit) as ended:
             main(["import", "log.mcap", *words])
@@ -56,23 +80,13 @@ def test_the_proposed_file_imports_the_log(log: Path, tmp_path: Path, capsys: py
         assert ended.value.code == 2 and "--config FILE" in said and "--out FOLDER" in said
 
 
-@pytest.mark.parametrize("kind", ["mcap_lz4", "db3"])
-def test_messages_are_counted_while_a_log_is_read(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_messages_are_counted_while_a_log_is_read(log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(containers, "STRIDE", 50)
     told: list[tuple[int, int]] = []
-    look(write_log(tmp_path / "log", make_notes("image/jpeg"), kind), lambda label, *done: told.append(done[:2]))
+    look(log, lambda label, *done: told.append(done[:2]))
     total = told[0][1]
     assert total > 100
     assert told == [*((done, total) for done in range(0, total, 50)), (total, total)]
-
-
-def test_a_goal_is_not_proposed_as_the_pose(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    notes = make_notes("image/jpeg")
-    pose = next(note for note in notes if note.topic == TRUTH)
-    goals = [replace(pose, topic="/goal_pose", log_ns=pose.log_ns + s * 10**9) for s in (5, 12)]
-    main(["import", str(write_log(tmp_path / "log", sort([*notes, *goals]), "mcap_lz4")), "--look"])
-    said = capsys.readouterr().out
-    assert yaml.safe_load(said)["pose"]["topic"] == TRUTH
 
 
 def test_topics_types_rates_clocks_joints_and_calibration_are_told(log: Path) -> None:
@@ -85,23 +99,66 @@ def test_topics_types_rates_clocks_joints_and_calibration_are_told(log: Path) ->
         "format 'rgb8; jpeg compressed bgr8', 96 x 80 px",
         "equidistant, 96 x 80 px, fx fy cx cy 32, 32, 47.5, 39.5",
         "# /range/front  sensor_msgs/msg/Range  66",
+        "# one clock: /joint_states, /camera/image_raw, /mocap/pose",
     ):
         assert part in said
-    config = RobotConfig.model_validate(yaml.safe_load(said))
-    assert (config.wheels.topic, config.camera.topic, config.camera.info) == (JOINTS, CAMERA, CAMERA_INFO)
-    assert config.pose is not None and config.pose.topic == TRUTH and config.wheels.lag_s == "estimate"
+    found = yaml.safe_load(said)
+    assert found["camera"] == {"topic": CAMERA, "info": CAMERA_INFO, "height_m": None, "forward_deg": None}
+    assert found["pose"]["topic"] == TRUTH and found["clocks"] == "checked"
 
 
-def test_without_a_calibration_a_circle_is_proposed(tmp_path: Path) -> None:
-    notes = change(make_notes("image/jpeg"), CAMERA_INFO, lambda _, note: set_fields(note, focal=0.0))
-    said = look(write_log(tmp_path / "log", notes, "mcap_lz4"), ignore)
-    assert "not calibrated: K is 0" in said
-    assert RobotConfig.model_validate(yaml.safe_load(said)).camera.circle_px == 40  # half of 80 px
+@pytest.mark.parametrize(
+    ("names", "left", "right"),
+    [
+        (("drivewhl_l_joint", "drivewhl_r_joint"), "drivewhl_l_joint", "drivewhl_r_joint"),
+        (("arm_right", "arm_left", "base/Wheel_Right", "base/Wheel_Left"), "base/Wheel_Left", "base/Wheel_Right"),
+        (("l_wheel_joint", "motor_1", "r_wheel_joint"), "l_wheel_joint", "r_wheel_joint"),
+        (("motor_1", "motor_2"), None, None),
+    ],
+)
+def test_joints_are_proposed_by_their_sides_or_left_open(
+    names: tuple[str, ...], left: str | None, right: str | None, notes: list[Note], tmp_path: Path
+) -> None:
+    said, found = look_at(tmp_path, rename(notes, *names))
+    assert (found["wheels"]["left"], found["wheels"]["right"]) == (left, right)
+    assert left or "left:  # one of motor_1, motor_2" in said
+
+
+def test_only_the_odometry_of_the_wheels_is_proposed(notes: list[Note], tmp_path: Path) -> None:
+    wheels = [one for one in make_notes("image/jpeg", odometry=True) if one.topic == JOINTS]
+    others = [one for one in notes if one.topic != JOINTS]
+    others += [
+        replace(one, topic=topic) for one in wheels for topic in ("/camera/odom/sample", "/odom_rf2o", "/camera/w")
+    ]
+    said, found = look_at(tmp_path, sort([*others, *(replace(one, topic="/odom") for one in wheels)]))
+    assert found["wheels"]["topic"] == "/odom"
+    assert "/odom  # it must be of the wheels alone, not /camera/odom/sample, /camera/w, /odom_rf2o" in said
+    said, found = look_at(tmp_path, sort(others))
+    assert found["wheels"]["topic"] is None and "# /odom_rf2o is no odometry of wheels alone" in said
+
+
+def test_what_cannot_be_used_is_left_open(notes: list[Note], tmp_path: Path) -> None:
+    pose = next(note for note in notes if note.topic == TRUTH)
+    goals = [replace(pose, topic="/goal_pose", log_ns=pose.log_ns + s * 10**8) for s in (1, 8)]
+    odd = change(notes, CAMERA_INFO, lambda _, note: set_fields(note, focal=0.0))
+    odd = change(odd, JOINTS, lambda _, note: set_fields(note, position=np.zeros(0)))
+    odd = change(odd, CAMERA, lambda _, note: replace(note, stamp_ns=note.stamp_ns + 3 * 10**9))
+    said, found = look_at(tmp_path, sort([*odd, *goals]))
+    for part in (
+        "not calibrated: K is 0",
+        "circle_px:  # no calibration can be used: radius of the round picture, at most 40",
+        "joints without positions: wheel_left_joint, wheel_right_joint",
+        "topic:  # no positions of joints and no odometry of wheels are in the log",
+        "# the clock of /mocap/pose differs from that of /camera/image_raw by -2.991 s at ",
+    ):
+        assert part in said
+    assert found["pose"]["topic"] == TRUTH and found["clocks"] == "logged" and found["camera"]["circle_px"] is None
 
 
 def test_a_plain_folder_is_looked_at(tmp_path: Path) -> None:
-    config = RobotConfig.model_validate(yaml.safe_load(look(write_plain(tmp_path / "plain"), ignore)))
-    assert (config.wheels.topic, config.wheels.left, config.camera.topic) == ("wheels.csv", "left", "images")
+    found = yaml.safe_load(look(write_plain(tmp_path / "plain"), ignore))
+    wheels, camera = found["wheels"], found["camera"]
+    assert (wheels["topic"], wheels["left"], camera["topic"]) == ("wheels.csv", "left", "images")
 
 
 def test_a_wrong_robot_is_refused_in_one_line(tmp_path: Path) -> None:
@@ -122,47 +179,3 @@ def test_a_wrong_robot_is_refused_in_one_line(tmp_path: Path) -> None:
         with pytest.raises(InputError, match=message) as caught:
             load_config(path)
         assert "\n" not in str(caught.value)
-
-
-CALIBRATION = {
-    "image_width": 96,
-    "image_height": 80,
-    "distortion_model": "fisheye",
-    "camera_matrix": {"rows": 3, "cols": 3, "data": [32.0, 0, 47.5, 0, 32.0, 39.5, 0, 0, 1]},
-    "distortion_coefficients": {"rows": 1, "cols": 4, "data": [0.0, 0.0, 0.0, 0.0]},
-}
-
-
-def test_a_wrong_calibration_is_refused_in_one_line(tmp_path: Path) -> None:
-    path = tmp_path / "ost.yaml"
-    for name, value, message in (
-        ("image_width", float("inf"), "image_width inf: must be a whole number"),
-        ("image_width", float("nan"), "image_width nan: must be a whole number"),
-        ("image_height", 80.5, r"image_height 80\.5: must be a whole number"),
-        ("image_height", [80], r"image_height \[80\]: must be a whole number"),
-        ("camera_matrix", {"data": "123456789"}, r"camera_matrix\.data '123456789': must be a list"),
-        ("camera_matrix", {"data": [1.0] * 8}, r"camera_matrix\.data has 8 numbers, and must have 9"),
-        ("camera_matrix", {"data": [True] * 9}, r"camera_matrix\.data .*: must be a list of finite numbers"),
-        ("distortion_coefficients", {"data": {"a": 1}}, r"distortion_coefficients\.data .* must be a list"),
-        ("distortion_coefficients", None, r"distortion_coefficients\.data None: must be a list"),
-    ):
-        path.write_text(yaml.safe_dump({**CALIBRATION, name: value}))
-        with pytest.raises(InputError, match=message) as caught:
-            read_calibration(path)
-        assert "\n" not in str(caught.value)
-
-
-def test_a_calibration_file_is_found_beside_the_robot(log: Path, tmp_path: Path) -> None:
-    text = yaml.safe_dump({**CALIBRATION, "distortion_coefficients": {"data": [0, 0, 0, "1e-05"]}})
-    (tmp_path / "ost.yaml").write_text(text)
-    assert read_calibration(tmp_path / "ost.yaml").coefficients == (0.0, 0.0, 0.0, 1e-5), "which YAML reads as text"
-    robot = {
-        "wheels": {"radius_m": 0.033, "track_m": 0.16, "lag_s": 0.05},
-        "camera": {"topic": CAMERA, "file": "ost.yaml"},
-    }
-    (tmp_path / "robot.yaml").write_text(yaml.safe_dump(robot))
-    main(["import", str(log), "--config", str(tmp_path / "robot.yaml"), "--out", str(tmp_path / "mine")])
-    assert read_json(tmp_path / "mine" / "manifest.json")["log"]["camera"]["model"] == "fisheye"
-    (tmp_path / "ost.yaml").write_text("image_width: 96\n")
-    with pytest.raises(SystemExit):
-        main(["import", str(log), "--config", str(tmp_path / "robot.yaml"), "--out", str(tmp_path / "other")])

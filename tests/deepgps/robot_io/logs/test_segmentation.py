@@ -98,6 +98,19 @@ def test_counters_that_wrap_are_unwrapped(full: float, stride: int, rest_s: floa
     assert not wrapped.broken.any()
 
 
+@pytest.mark.parametrize("ticks", [9000, 12345])
+def test_a_counter_that_always_restarts_at_one_count_is_unwrapped(ticks: int) -> None:
+    """From 0 to its range, or as some drivers do from 0 to its range in both directions."""
+    wheels = sample((2.0,) * 6)
+    full = ticks * TICK
+    for counted in (wheels.angle % full, np.fmod(wheels.angle, full)):
+        found = clean_wheels(wheels.time_s, counted, 4096, "/joint_states")
+        np.testing.assert_allclose(np.ptp(found.angle, axis=0), np.ptp(wheels.angle, axis=0), rtol=0.001)
+        assert not found.broken.any() and len(found.notes) == 2
+        left = int(found.notes[0].split(" after ")[1].split()[0])
+        assert abs(left - ticks) < 0.005 * ticks and "which is taken as its range" in found.notes[0]
+
+
 def test_wheels_at_rest_may_differ_by_the_rounding_of_floats() -> None:
     time_s = PERIOD_S * np.arange(100)
     angle = 1e-12 * np.random.default_rng(0).standard_normal((100, 2))
