@@ -230,19 +230,18 @@ def seconds(note: Note) -> float:
     return (note.stamp_ns - START_NS) * 1e-9
 
 
-def write_log(path: Path, notes: Sequence[Note], form: str = "mcap", empty: Sequence[tuple[str, str]] = ()) -> Path:
+def write_log(path: Path, notes: Sequence[Note], form: str = "mcap") -> Path:
     """Write a log.
 
     Args:
         path: Its path without suffix.
         notes: Its messages.
         form: bag, bag_bz2, bag_lz4, db3, db3_v8, db3_v5, db3_zstd, mcap, mcap_zstd or mcap_lz4; the last is one file.
-        empty: Topics and types without messages.
 
     Returns:
         The log.
     """
-    topics = {**{note.topic: note.kind for note in notes}, **dict(empty)}
+    topics = {note.topic: note.kind for note in notes}
     if form.startswith("bag"):
         return _write_bag(path.with_suffix(".bag"), notes, topics, form.partition("_")[2])
     if form == "mcap_lz4":
@@ -387,14 +386,3 @@ def write_plain(folder: Path, truth: bool = True) -> Path:
     for time_s, image in _draw_all(0.1):
         cv2.imwrite(str(folder / "images" / f"{time_s:.3f}.png"), image[..., ::-1])
     return folder
-
-
-def replace_pixels(notes: Sequence[Note], how: Callable[[np.ndarray], np.ndarray]) -> list[Note]:
-    """The messages with each image, compressed as JPEG, replaced by a function of its pixels."""
-
-    def one(_: int, note: Note) -> Note:
-        image = cv2.imdecode(note.fields["data"], cv2.IMREAD_COLOR)
-        assert image is not None
-        return replace(note, fields=encode(np.ascontiguousarray(how(image[..., ::-1])), "image/jpeg"))
-
-    return change(notes, CAMERA, one)

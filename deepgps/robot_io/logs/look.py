@@ -192,7 +192,7 @@ def _find_camera(seen: Sequence[Seen]) -> Seen | None:
 def _find_pose(seen: Sequence[Seen]) -> Seen | None:
     """A topic of poses that does not come from the wheels."""
     some = [one for one in seen if one.kind in POSE_KINDS[:3] and len(one.log_ns) > 1]
-    often = [one for one in some if np.median(np.diff(np.sort(np.array(one.log_ns)))) <= GAP_S * 1e9]
+    often = [one for one in some if np.median(np.diff(sorted(one.log_ns))) <= GAP_S * 1e9]
     return max(often, key=lambda one: len(one.log_ns), default=None)  # a goal is sent seldom
 
 

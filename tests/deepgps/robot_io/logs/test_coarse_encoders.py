@@ -1,30 +1,14 @@
-"""Angles of coarse encoders: close to the true ones between counts, and logs of such robots become right recordings."""
+"""Angles of coarse encoders: close to the true ones between counts, and every motion is found by them."""
 
 from itertools import product
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from deepgps.robot_io.logs.importing import import_log
-from deepgps.robot_io.logs.robot_config import RobotConfig
+from deepgps.robot_io.logs.segmentation import find_motions, find_path
 from deepgps.robot_io.logs.wheels import Wheels, fill_counts
-from deepgps.terminal.progress import ignore
-from sim.recording.format import open_recording
-from tests.helpers.robot_log import (
-    CONFIG,
-    JOINTS,
-    LENGTHS_M,
-    RADIUS_M,
-    TURNS,
-    Note,
-    change,
-    make_motion,
-    make_notes,
-    set_fields,
-    write_log,
-)
+from tests.helpers.robot_log import LENGTHS_M, RADIUS_M, TRACK_M, TURNS, make_motion
 
 
 def make_wheels(ticks: int, period_s: float, rounding: Any = np.floor) -> tuple[Wheels, np.ndarray]:
@@ -54,31 +38,20 @@ def test_fine_encoders_and_wheels_that_never_turn_stay_as_they_are():
     assert not fill_counts(still, "wheels").angle.any()
 
 
-def bring_in(ticks: int, tmp_path: Path) -> tuple[Path, dict[str, Any]]:
-    tick = 2 * np.pi / ticks
-
-    def count(_: int, note: Note) -> Note:
-        return set_fields(note, position=np.floor(np.asarray(note.fields["position"]) / tick) * tick)
-
-    log = write_log(tmp_path / "log", change(make_notes("image/jpeg"), JOINTS, count), "mcap_lz4")
-    wheels = {**CONFIG["wheels"], "ticks_per_rev": ticks}
-    config = RobotConfig.model_validate({**CONFIG, "wheels": wheels, "drive": {"spacing_m": 0.1, "held_out": 0.0}})
-    return tmp_path / "recording", import_log(log, config, tmp_path / "recording", ignore)
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("ticks", [16, 32, 64])
-def test_the_log_of_coarse_encoders_has_every_segment_and_turn(ticks: int, tmp_path: Path):
-    folder, _ = bring_in(ticks, tmp_path)
-    recording = open_recording(folder)
-    driven = recording.reading[:, 2:].mean(axis=1) * 2 * np.pi / ticks * RADIUS_M
-    lengths = [np.ptp(driven[recording.reading[:, 0] == number]) for number in np.unique(recording.reading[:, 0])]
-    np.testing.assert_allclose(lengths, LENGTHS_M, atol=1.5 * 2 * np.pi / ticks * RADIUS_M)
-    turns = recording.turns
-    assert turns is not None and turns.kind.tolist() == [0] * len(TURNS)
+def test_wheels_with_coarse_encoders_show_every_segment_and_turn(ticks: int):
+    wheels, _ = make_wheels(ticks, 0.05)
+    wheels = fill_counts(wheels, "wheels")
+    path = find_path(wheels.angle, RADIUS_M, TRACK_M)
+    motions = [one for one in find_motions(wheels, path, TRACK_M) if one.kind in {"straight", "turn"}]
+    lengths = [path.measure(one) for one in motions if one.kind == "straight"]
+    np.testing.assert_allclose(lengths, LENGTHS_M, atol=0.005 + 1.5 * 2 * np.pi / ticks * RADIUS_M)
+    assert [one.kind for one in motions if path.measure(one) > 0.1 or one.kind == "turn"] == ["straight", "turn"] * len(
+        TURNS
+    ) + ["straight"]
 
 
-@pytest.mark.slow
-def test_encoders_that_are_too_coarse_are_noted(tmp_path: Path):
-    _, about = bring_in(4, tmp_path)
-    assert f"{JOINTS}: an encoder counts 4 ticks a turn of its wheel: turns in place may be missed" in about["notes"]
+def test_encoders_that_are_too_coarse_are_noted():
+    wheels, _ = make_wheels(4, 0.05)
+    (note,) = fill_counts(wheels, "wheels").notes
+    assert note == "wheels: an encoder counts 4 ticks a turn of its wheel: turns in place may be missed"

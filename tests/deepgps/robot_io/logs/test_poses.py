@@ -1,22 +1,19 @@
 """Poses of logs: quaternions of any length give the yaw, and those of none give no pose."""
 
 import math
-from collections.abc import Callable
-from pathlib import Path
 from types import SimpleNamespace
+from typing import Any, ClassVar
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deepgps.robot_io.logs.containers import open_log
-from deepgps.robot_io.logs.messages import open_poses, open_wheels, read_yaw
+from deepgps.robot_io.logs.messages import PoseLog, WheelLog, read_yaw
 from deepgps.robot_io.logs.robot_config import WheelConfig
-from deepgps.terminal.progress import ignore
+from deepgps.robot_io.logs.sample import Sample
 from sim.errors import InputError
 from sim.geometry import wrap
-from tests.helpers.robot_log import CONFIG, JOINTS, TRUTH, Note, change, make_notes, set_fields, write_log
+from tests.helpers.robot_log import CONFIG, JOINTS
 
 
 def turn(yaw: float, lean: float, length: float) -> SimpleNamespace:
@@ -34,29 +31,31 @@ def test_a_quaternion_of_any_length_gives_the_yaw(yaw: float, lean: float, lengt
         assert math.isnan(read_yaw(turn(0.5, 0.0, nothing)))
 
 
-def without_orientation(every: int) -> Callable[[int, Note], Note]:
-    return lambda number, note: set_fields(note, length=0.0) if number % every == 0 else note
+class Given:
+    """A part of a log whose messages are given."""
+
+    types: ClassVar = {}
+    counts: ClassVar = {}
+
+    def read(self, topics: Any) -> Any:
+        return iter(())
+
+    def decode(self, sample: Sample) -> Any:
+        place, turned = SimpleNamespace(x=1.0, y=2.0, z=0.0), turn(0.3, 0.0, sample.data)
+        pose = SimpleNamespace(position=place, orientation=turned)
+        return SimpleNamespace(pose=SimpleNamespace(pose=pose))
 
 
-def test_poses_without_an_orientation_are_left_out(tmp_path: Path) -> None:
-    notes = make_notes("image/jpeg")
-    for every in (3, 1):
-        log = write_log(tmp_path / f"log{every}", change(notes, TRUTH, without_orientation(every)), "mcap_lz4")
-        with open_log(log) as opened:
-            poses = open_poses(opened, TRUTH)
-            opened.feed({TRUTH: poses.take}, ignore)
-        count = sum(note.topic == TRUTH for note in notes)
-        assert poses.without == math.ceil(count / every) and len(poses.pose) == count - poses.without
-    with pytest.raises(InputError, match=rf"pose.topic {TRUTH} holds no pose: in {count} messages .* quaternion is 0"):
-        poses.check()
-
-
-def test_an_odometry_without_orientations_is_refused(tmp_path: Path) -> None:
-    notes = change(make_notes("image/jpeg", odometry=True), JOINTS, without_orientation(1))
+def test_poses_and_odometries_without_an_orientation_are_left_out_or_refused() -> None:
     config = WheelConfig.model_validate(CONFIG["wheels"])
-    with open_log(write_log(tmp_path / "log", notes, "mcap_lz4")) as opened:
-        wheels = open_wheels(opened, config)
-        opened.feed({JOINTS: wheels.take}, ignore)
-    assert not np.isfinite(wheels.angle).any()
-    with pytest.raises(InputError, match=rf"{JOINTS} holds no message of wheels: in \d+ messages .* quaternion is 0"):
+    for every in (3, 1):
+        poses, wheels = PoseLog("/pose"), WheelLog(config, True)
+        for number in range(10):
+            for one in (poses, wheels):
+                one.take(Sample("/pose", number, number, 0.0 if number % every == 0 else 2.0), Given())
+        assert poses.without == wheels.without == math.ceil(10 / every)
+        assert len(poses.pose) == len(wheels.angle) == 10 - poses.without
+    with pytest.raises(InputError, match=r"pose.topic /pose holds no pose: in 10 messages .* quaternion is 0"):
+        poses.check()
+    with pytest.raises(InputError, match=rf"{JOINTS} holds no message of wheels: in 10 messages .* quaternion is 0"):
         wheels.check()
