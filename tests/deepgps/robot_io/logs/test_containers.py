@@ -7,7 +7,7 @@ import pytest
 import yaml
 from mcap.writer import Writer
 
-from deepgps.robot_io.logs.containers import open_log
+from deepgps.robot_io.logs.containers import FilePart, open_log
 from deepgps.robot_io.logs.sample import explained
 from sim.errors import InputError
 from tests.helpers.robot_log import JOINTS, START_NS, Note, make_notes, write_log
@@ -79,6 +79,17 @@ def test_an_mcap_is_read_to_its_last_whole_chunk_and_a_bag_is_not(notes: list[No
     bag = write_log(tmp_path / "log", notes, "bag")
     bag.write_bytes(bag.read_bytes()[:-20])
     check_refused(bag, r"log\.bag cannot be read as a log: .*may be mended by rosbag reindex")
+
+
+def test_split_files_in_a_folder_are_one_log(notes: list[Note], tmp_path: Path) -> None:
+    for number in range(11):
+        write_log(tmp_path / f"drive_{number}", notes[number::11], "mcap_lz4")
+    (tmp_path / "drive_11.mcap").touch()
+    (tmp_path / "._drive_0.mcap").write_bytes(b"\0\5\x16\7 of macOS")
+    assert read_all(tmp_path)[0] == sorted(one.log_ns for one in notes)
+    with open_log(tmp_path) as log:
+        files = [part.file.name for part in log.parts if isinstance(part, FilePart)]
+    assert files == [f"drive_{number}.mcap" for number in range(11)]
 
 
 def test_a_bad_definition_spoils_its_topic_only(tmp_path: Path) -> None:
