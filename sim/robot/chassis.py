@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from sim.errors import InputError, WorkError, one_line, shorten
-from sim.robot.model import CONTROL_PERIOD_S, TIMESTEP_S, WHEELS, Body, load_robot
+from sim.robot.model import BASE, CONTROL_PERIOD_S, TIMESTEP_S, WHEELS, Body, load_robot
 from sim.robot.own import load_own_robot
 from sim.rooms.deployment import dim
 from sim.rooms.spec import NEAR_PLANE_M, ROBOT_PREFIX, empty_room, freeze
@@ -80,6 +80,7 @@ _SETTLING_S = 1.0
 MIN_UPRIGHT_COSINE = 0.999  # Smallest cosine of the lean at which a user's own robot comes to rest
 FLOOR_GAP_M, FALL_DEPTH_M = 0.01, 1.0
 """Largest height of its origin above the floor at rest, and depth below it from which a robot has fallen [m]."""
+BUMPER_M = 0.005  # Height below which a user's own robot rolls over what it touches [m]
 
 
 class Chassis:
@@ -93,6 +94,8 @@ class Chassis:
         self._substeps = round(CONTROL_PERIOD_S / TIMESTEP_S)
         self._left, self._right = (self.model.sensor(ROBOT_PREFIX + name).adr[0] for name in WHEELS)
         self._bumper = self.model.sensor_adr[self.model.sensor_type == mujoco.mjtSensor.mjSENS_TOUCH]
+        own = settings.robot.mjcf is not None
+        self._own = own & (self.model.body_rootid[self.model.geom_bodyid] == self.model.body(ROBOT_PREFIX + BASE).id)
         self._rest = _settle(settings)
 
     def place(self, pose: np.ndarray) -> None:
@@ -140,8 +143,14 @@ class Chassis:
         return np.array((sensor[self._left], sensor[self._right]))
 
     def bumped(self) -> bool:
-        """Whether something presses against the robot's body, or a part that is fixed to it."""
-        return bool((self.data.sensordata[self._bumper] > 0.0).any())
+        """Whether something presses against the robot: its body, or any part of a user's own above ``BUMPER_M``."""
+        data, force = self.data, np.empty(6)
+        one, other = self._own[data.contact.geom].T
+        for contact in np.flatnonzero((one != other) & (data.contact.pos[:, 2] > BUMPER_M)).tolist():
+            mujoco.mj_contactForce(self.model, data, contact, force)
+            if force[0] > 0.0:
+                return True
+        return bool((data.sensordata[self._bumper] > 0.0).any())
 
     def time(self) -> float:
         """Return the time since the start [s]."""
@@ -180,7 +189,9 @@ def _settle(settings: SimSettings) -> np.ndarray:
     if settings.robot.mjcf is not None:
         what = f"robot.mjcf {shorten(settings.robot.mjcf, 300)}"
         if not 1.0 - 2.0 * (rest[4] ** 2 + rest[5] ** 2) >= MIN_UPRIGHT_COSINE:  # NaN is not
-            raise InputError(f"{what}: it does not stay level on a level floor")
+            raise InputError(
+                f"{what}: it does not stay level on a level floor: a caster is missing, or at a wrong height"
+            )
         if not abs(rest[2]) <= FLOOR_GAP_M:
             raise InputError(
                 f"{what}: at rest, its body's origin is {rest[2]:.3g} m above the floor; at most {FLOOR_GAP_M:g} m is "

@@ -10,7 +10,6 @@ from sim.settings import CameraSettings, RobotSettings
 
 BASE = "base"
 WHEELS = ("left_wheel", "right_wheel")
-BUMPER = "bumper"
 CAMERA_SITE = "camera"
 CAMERA = "fisheye"
 TIMESTEP_S, CONTROL_PERIOD_S = 0.005, 0.04

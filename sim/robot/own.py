@@ -7,27 +7,29 @@ import mujoco
 import numpy as np
 
 from sim.errors import InputError, one_line, shorten
-from sim.robot.model import BASE, BUMPER, CAMERA, CAMERA_SITE, WHEELS, Body
+from sim.robot.model import BASE, CAMERA, CAMERA_SITE, WHEELS, Body
 from sim.rooms.mjcf_files import list_files
-from sim.rooms.spec import drop_claims
+from sim.rooms.spec import drop_claims, drop_looks
 from sim.settings import RobotSettings
 
-DIRECTIONS = 720
+_ANGLE = np.linspace(0.0, 2.0 * np.pi, 720, endpoint=False)
+LEVEL = np.stack([np.cos(_ANGLE), np.sin(_ANGLE), np.zeros(len(_ANGLE))], axis=1)
+ACROSS = LEVEL[:, [0, 2, 1]]
+"""Directions (n, 3) that are level, and those across a wheel's axis."""
 
 
-def reach_of_geoms(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[float, float]:
-    """How far the colliding geoms of a robot at the origin reach aside from its axis, and up [m].
+def find_reach(
+    model: mujoco.MjModel, data: mujoco.MjData, direction: np.ndarray, joint: int | None = None
+) -> np.ndarray:
+    """How far the colliding geoms of a robot, or of a joint's wheel alone, reach in directions (n, 3) (n,) [m].
 
-    How far a convex body reaches in a direction d is the largest product of its points with d; how far it reaches
-    aside is the largest of these over all level directions.
+    How far a convex body reaches in a direction d is the largest product of its points with d.
     """
-    angle = np.linspace(0.0, 2.0 * np.pi, DIRECTIONS, endpoint=False)
-    level = np.stack([np.cos(angle), np.sin(angle), np.zeros(DIRECTIONS)], axis=1)
-    aside_m = up_m = 0.0
-    for geom in np.flatnonzero(model.geom_contype | model.geom_conaffinity).tolist():
-        aside_m = max(aside_m, float(_support(model, data, geom, level).max()))
-        up_m = max(up_m, float(_support(model, data, geom, np.array([[0.0, 0.0, 1.0]])).max()))
-    return aside_m, up_m
+    geoms = (model.geom_contype | model.geom_conaffinity) > 0
+    if joint is not None:
+        geoms &= model.body_weldid[model.geom_bodyid] == model.body_weldid[model.jnt_bodyid[joint]]
+    reach = [_support(model, data, geom, direction) for geom in np.flatnonzero(geoms).tolist()]
+    return np.max([np.full(len(direction), -np.inf), *reach], axis=0)
 
 
 def _support(model: mujoco.MjModel, data: mujoco.MjData, geom: int, direction: np.ndarray) -> np.ndarray:
@@ -49,8 +51,7 @@ def _support(model: mujoco.MjModel, data: mujoco.MjData, geom: int, direction: n
 
 
 TOLERANCE_M = 0.001  # Wheels and camera may be this far from where they must be [m]
-BUMPER_REACH_M = 0.045  # The bumper's sensor reaches this far beyond the body [m]
-BUMPER_BOTTOM_M, BUMPER_TOP_M = 0.005, 2.0  # It begins above what rolls on the floor, and ends above any robot [m]
+ROUND_TOLERANCE = 0.02  # Largest difference of a wheel's radii, as a part of them
 PRIORITY = 2
 UPWARD_ORIENTATION = (0.0, 0.5**0.5, 0.5**0.5, 0.0)  # Of the camera of dm_env: its axes are 0 1 0 and 1 0 0
 _SERVO = ("gaintype", "gainprm", "biastype", "biasprm", "forcelimited", "forcerange", "ctrllimited", "ctrlrange")
@@ -63,7 +64,6 @@ def load_own_robot(robot: RobotSettings) -> mujoco.MjSpec:
     """
     spec = _read(robot)
     _add_camera(spec)
-    _add_bumpers(spec, describe_own(robot).radius_m + BUMPER_REACH_M)
     return spec
 
 
@@ -76,30 +76,14 @@ def _add_camera(spec: mujoco.MjSpec) -> None:
     spec.body(BASE).add_camera(name=CAMERA, pos=place, quat=UPWARD_ORIENTATION, fovy=90.0)
 
 
-def _add_bumpers(spec: mujoco.MjSpec, radius_m: float) -> None:
-    """Add a touch sensor around the robot to its body and to each that is fixed to it: one feels its own body alone."""
-    model = spec.compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    base, middle = model.body(BASE).id, np.array([0.0, 0.0, (BUMPER_BOTTOM_M + BUMPER_TOP_M) / 2])
-    size = (radius_m, BUMPER_TOP_M - middle[2], 0.0)
-    fixed = [(body, body.id) for body in spec.bodies if model.body_weldid[body.id] == base]  # elements change the ids
-    for number, (body, row) in enumerate(fixed):
-        back, turn = data.xmat[row].reshape(3, 3).T, np.empty(4)
-        mujoco.mju_mat2Quat(turn, back.ravel())
-        name, place = f"{BUMPER}_{number}", back @ (data.xpos[base] + middle - data.xpos[row])
-        cylinder = mujoco.mjtGeom.mjGEOM_CYLINDER
-        body.add_site(name=name, type=cylinder, size=size, pos=place, quat=turn, group=4, rgba=(0, 0, 0, 0))
-        spec.add_sensor(name=name, type=mujoco.mjtSensor.mjSENS_TOUCH, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=name)
-
-
 def describe_own(robot: RobotSettings) -> Body:
     """Dimensions of a user's robot by its geoms; wheel radius and track are rough.
 
     Raises InputError as ``load_own_robot``, or if a wheel or the camera is not where it must be.
     """
+    spec = _read(robot)
     try:
-        model = _read(robot).compile()
+        model = spec.compile()
     except ValueError as error:
         raise _refuse(robot, f"MuJoCo cannot compile it: {shorten(one_line(error), 300)}") from None
     data = mujoco.MjData(model)
@@ -121,7 +105,14 @@ def describe_own(robot: RobotSettings) -> Body:
     ):
         where = "above the middle of the axle, upright, its x axis forward; camera_mount moves and tilts it"
         raise _refuse(robot, f"robot.camera_site {shorten(robot.camera_site)} must be {where}")
-    aside_m, up_m = reach_of_geoms(model, data)
+    for name in WHEELS:
+        joint = model.joint(name).id
+        reach_m = find_reach(model, data, ACROSS, joint) - ACROSS @ data.xanchor[joint]
+        if not 0.0 < reach_m.max() * (1.0 - ROUND_TOLERANCE) <= reach_m.min():
+            figure = f"its radius is {1e3 * reach_m.min():.3g} to {1e3 * reach_m.max():.3g} mm"
+            cause = 'is its euler in radians without angle="radian", or has it no geom that collides?'
+            raise _refuse(robot, f"its {name.replace('_', ' ')} is not round about the axis, {figure}: {cause}")
+    aside_m, up_m = (float(find_reach(model, data, direction).max()) for direction in (LEVEL, np.eye(3)[2:]))
     return Body(aside_m, max(up_m, float(camera.xpos[2])), float(middle[2]), float(left[1] - right[1]))
 
 
@@ -132,10 +123,11 @@ def _read(robot: RobotSettings) -> mujoco.MjSpec:
     try:
         spec = mujoco.MjSpec.from_file(str(path.resolve()))
         drop_claims(spec)
+        drop_looks(spec)
+    except InputError as error:
+        raise _refuse(robot, str(error)) from None
     except (ValueError, RuntimeError, MemoryError, mujoco.FatalError) as error:
         raise _refuse(robot, f"MuJoCo cannot read it: {shorten(one_line(error), 400)}") from None
-    if spec.meshes or spec.hfields or spec.skins or spec.textures:
-        raise _refuse(robot, "a robot is made of primitive geoms in plain colours: meshes and textures are not read")
     bodies = list(spec.worldbody.bodies)
     if len(bodies) != 1:
         raise _refuse(robot, f"its world must hold one body, the robot, and holds {len(bodies)}")

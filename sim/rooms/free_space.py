@@ -4,8 +4,9 @@ import mujoco
 import numpy as np
 from scipy import ndimage
 
-from sim.errors import InputError
+from sim.errors import InputError, shorten
 from sim.geometry import FreeSpace
+from sim.rooms.spec import DRAWN_GROUPS
 
 CLEARANCE_M = 0.005  # The wheels climb over anything lower than this [m]: the floor itself, rugs, thresholds
 MAX_CELLS = 4_000_000
@@ -84,10 +85,10 @@ def _below(model: mujoco.MjModel, data: mujoco.MjData, geom: int, z_m: float) ->
     if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE:
         normal = data.geom_xmat[geom].reshape(3, 3)[:, 2]
         return bool(normal[2] > 1 - _EPSILON and data.geom_xpos[geom, 2] <= z_m)
-    return bool(_box_of(model, data, geom)[1][2] <= z_m)
+    return bool(box_of(model, data, geom)[1][2] <= z_m)
 
 
-def _box_of(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> tuple[np.ndarray, np.ndarray]:
+def box_of(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the lower and upper corner (3,) of the world-aligned box around a geom's own bounding box [m]."""
     rotation = data.geom_xmat[geom].reshape(3, 3)
     centre = data.geom_xpos[geom] + rotation @ model.geom_aabb[geom, :3]
@@ -120,16 +121,17 @@ def _search_area(probe: _Probe, radius_m: float, cell_m: float) -> tuple[np.ndar
     corners = []
     for geom in probe.obstacles:
         if probe.model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_PLANE:
-            corners += _box_of(probe.model, probe.data, geom)
+            corners += box_of(probe.model, probe.data, geom)
             continue
         # A plane blocks everything behind it; only its drawn rectangle bounds the room.
         rotation = probe.data.geom_xmat[geom].reshape(3, 3)
         half = np.abs(rotation[:, :2]) @ probe.model.geom_size[geom, :2]
         corners += [probe.data.geom_xpos[geom] - half, probe.data.geom_xpos[geom] + half]
     for geom in probe.terrains:
-        corners += _box_of(probe.room, probe.room_data, geom)
+        corners += box_of(probe.room, probe.room_data, geom)
     if not corners:
-        raise InputError("room: nothing stands on the floor, so no free space is enclosed by walls")
+        explained = _explain(probe.room)
+        raise InputError(f"room: nothing stands on the floor, so no free space is enclosed by walls{explained}")
     border = radius_m + 3 * cell_m
     # The grid passes through the room's origin, wherever its walls are.
     low = np.floor((np.min(corners, axis=0)[:2] - border) / cell_m)
@@ -179,7 +181,7 @@ def _block(blocked: np.ndarray, probe: _Probe, geom: int, origin: np.ndarray, ce
 def _block_terrain(blocked: np.ndarray, probe: _Probe, geom: int, origin: np.ndarray, cell_m: float) -> None:
     """Mark the cells where a terrain is higher than the clearance anywhere within the probe's radius."""
     model, data = probe.room, probe.room_data
-    low, high = _box_of(model, data, geom)
+    low, high = box_of(model, data, geom)
     reach = int(np.ceil(probe.radius_m / cell_m))
     above = np.zeros(blocked.shape, bool)
     ray_from = max(high[2], probe.top_m) + 1.0
@@ -209,24 +211,30 @@ def _enclosed_region(
         inside = 0 <= row < label.shape[0] and 0 <= column < label.shape[1]
         if not inside or label[row, column] == 0:
             where = f"({start[0]:g}, {start[1]:g}) m"
-            raise InputError(f"room: the site start at {where} is not free for the robot{_explain_meshes(model)}")
+            raise InputError(f"room: the site start at {where} is not free for the robot{_explain(model)}")
         if label[row, column] in outside:
-            raise InputError("room: the free space about the site start is not enclosed by walls")
+            raise InputError(f"room: the free space about the site start is not enclosed by walls{_explain(model)}")
         return label == label[row, column], start
     cells = np.bincount(label.ravel())
     cells[0] = 0
     cells[outside] = 0
     if not cells.any():
-        raise InputError(f"room: no free space is enclosed by walls{_explain_meshes(model)}")
+        raise InputError(f"room: no free space is enclosed by walls{_explain(model)}")
     region = label == cells.argmax()
     return region, _roomiest(region, origin, cell_m)
 
 
-def _explain_meshes(model: mujoco.MjModel) -> str:
-    """The end of a message for a room with meshes that collide: walls of one mesh fill the room."""
-    if not (model.geom_type[collides(model)] == mujoco.mjtGeom.mjGEOM_MESH).any():
-        return ""
-    return "; MuJoCo collides a mesh as its convex hull, so split walls that are one mesh into one for each wall"
+def _explain(model: mujoco.MjModel) -> str:
+    """The end of a message for a room with meshes that collide, of which one for all walls fills the room, or with
+    geoms that are only drawn."""
+    why, solid = "", collides(model)
+    if (model.geom_type[solid] == mujoco.mjtGeom.mjGEOM_MESH).any():
+        why = "; MuJoCo collides a mesh as its convex hull, so split walls that are one mesh into one for each wall"
+    drawn = [model.geom(geom).name for geom in np.flatnonzero(~solid & np.isin(model.geom_group, DRAWN_GROUPS))]
+    if drawn:
+        named = shorten(", ".join(name or "one without a name" for name in drawn), 200)
+        why += f"; these of its geoms are only drawn (contype and conaffinity 0): {named}"
+    return why
 
 
 def _start_site(model: mujoco.MjModel) -> np.ndarray | None:

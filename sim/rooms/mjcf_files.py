@@ -64,7 +64,7 @@ def _try_out(path: str, kind: Kind, changed_ns: int, size: int) -> str:
     return done.stdout
 
 
-def find_files(path: Path) -> list[Path]:
+def find_files(path: Path, kind: Kind) -> list[Path]:
     """The files that an MJCF file uses, itself first; raises InputError if one is outside its folder."""
     roots, queue = dict[Path, ET.Element](), [path]
     while queue:
@@ -79,6 +79,8 @@ def find_files(path: Path) -> list[Path]:
                 queue += _find(element, "file", path.parent, {path.parent, file.parent})
     if roots[path].tag != "mujoco":
         raise InputError(f"not an MJCF file: its root is <{roots[path].tag}>, and must be <mujoco>")
+    if kind == "robot":  # whose meshes and textures nobody reads
+        return [path, *sorted(set(roots) - {path})]
     elements = [element for root in roots.values() for element in root.iter()]
     folders = {file.parent for file in roots}
     for element in elements:
@@ -132,18 +134,21 @@ def try_out(path: Path, kind: Kind) -> list[Path]:
 
     Raises InputError if it is no MJCF file, names a file outside its own folder, or MuJoCo cannot compile it.
     """
-    files = find_files(path)
+    files = find_files(path, kind)
     try:
         import mujoco
     except ModuleNotFoundError:
         return files
-    from sim.rooms.spec import drop_claims, make_static
+    from sim.rooms.spec import drop_claims, drop_looks, make_static
 
     mujoco.set_mju_user_warning(lambda text: None)
     try:
         spec = mujoco.MjSpec.from_file(str(path))
-        (make_static if kind == "room" else drop_claims)(spec)
+        for prepare in (make_static,) if kind == "room" else (drop_claims, drop_looks):
+            prepare(spec)
         model = spec.compile()
+    except InputError:
+        raise
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
         raise InputError(f"MuJoCo cannot read it: {one_line(error)[:400]}") from None
     data = mujoco.MjData(model)

@@ -4,6 +4,8 @@ from typing import Any
 
 import mujoco
 
+from sim.errors import InputError, shorten
+
 ROBOT_PREFIX = "robot/"  # Prefix of the names of the robot's parts once it is attached to a room
 DRAWN_GROUPS = (0, 1, 2)  # Groups of the geoms that cameras see
 NEAR_PLANE_M = 0.01  # Distance from a camera within which nothing is drawn [m]
@@ -52,6 +54,22 @@ def drop_claims(spec: mujoco.MjSpec) -> None:
         setattr(spec, name, getattr(defaults, name))
     spec.visual.global_.offwidth = defaults.visual.global_.offwidth
     spec.visual.global_.offheight = defaults.visual.global_.offheight
+
+
+def drop_looks(spec: mujoco.MjSpec) -> None:
+    """Remove what is only looked at, unread: textures, skins, and meshes that collide with nothing, with their mass.
+
+    Raises InputError if a part of the robot that collides is a mesh.
+    """
+    for geom in [geom for geom in spec.geoms if geom.meshname or geom.hfieldname]:
+        if (geom.contype or geom.conaffinity) and geom.parent.name != "world":
+            name = shorten(geom.name or geom.meshname or geom.hfieldname)
+            raise InputError(f"its geom {name} is a mesh that collides, and what collides must be a primitive geom")
+        spec.delete(geom)
+    for element in [*spec.meshes, *spec.hfields, *spec.skins, *spec.textures]:
+        spec.delete(element)
+    for material in spec.materials:
+        material.textures = [""] * len(material.textures)
 
 
 def list_active(spec: mujoco.MjSpec) -> list[Any]:

@@ -9,7 +9,7 @@ import pytest
 from deepgps.config.scenario import load_scenario
 from deepgps.runs.inputs import digest
 from sim.errors import InputError
-from sim.robot.calibrate import run
+from sim.robot.calibrate import calibrate_own, run
 from sim.robot.drive import TOUCH_ENDINGS, next_segment
 from sim.robot.headings import DriveMode, Visits
 from sim.robot.model import CAMERA, CAMERA_SITE, RADIUS_M, TRACK_M, WHEEL_RADIUS_M
@@ -17,6 +17,7 @@ from sim.robot.own import describe_own
 from sim.robot.range_finder import clear_length
 from sim.robot.world import RoomWorld
 from sim.robot_log.log import check_log
+from sim.rooms.mjcf_files import list_files
 from sim.rooms.spec import ROBOT_PREFIX, empty_room
 from sim.settings import RobotSettings, RoomSettings, SimSettings
 
@@ -113,23 +114,57 @@ def test_what_is_wrong_with_it_is_said_in_one_line(tmp_path: Path, monkeypatch: 
         assert "\n" not in str(error.value) and "robot." in str(error.value)
 
 
+EYE = '<site name="eye" pos="0 0 0.5"/>'
 LOWER_BODIES = [
     *((f'pos="0 {side} 0.066"', f'pos="0 {side} 0.046"') for side in ("0.16", "-0.16")),
     ('pos="-0.15 0 0.02"', 'pos="-0.15 0 0.0"'),
 ]
+RIGHT_WHEEL = (
+    'name="right_drive" axis="0 1 0" damping="0.0004" armature="0.004"/>\n        <geom type="ellipsoid" size='
+)
+SMALLER_WHEEL = [
+    ("0 -0.16 0.066", "0 -0.16 0.064"),
+    (RIGHT_WHEEL + '"0.066 0.018 0.066"', RIGHT_WHEEL + '"0.064 0.018 0.064"'),
+]
+FLAT_WHEELS = [('type="ellipsoid" size="0.066 0.018 0.066"', 'type="cylinder" size="0.066 0.018" euler="1.5708 0 0"')]
+SKIRT = '<geom name="skirt" type="cylinder" size="0.1 0.01" pos="0 0 0.01" mass="0"/>'
+TWO_LOW_CASTERS = [('pos="-0.15 0 0.02"', 'pos="-0.15 0 0.017"')]
+TWO_LOW_CASTERS += [(EYE, EYE + '<geom type="sphere" size="0.02" pos="0.15 0 0.017" mass="0" condim="1"/>')]
+REFUSED_DRIVES = [
+    ([('pos="-0.15 0 0.02"', 'pos="-0.15 0 0.30"')], "does not stay level on a level floor: a caster is missing"),
+    (LOWER_BODIES, r"0\.02 m above the floor"),
+    (FLAT_WHEELS, r"its left wheel is not round about the axis, .* to 68.* mm: is its euler in radians"),
+    ([('kv="0.6"', 'kv="0.6" ctrlrange="-0.5 0.5"')], r"turn at 3\.33 rad/s, and their ctrlrange ends at 0\.5"),
+    ([('forcerange="-8 8"', 'forcerange="-0.0001 0.0001"')], r"rolled 0\.\d+ m: its motors are too weak"),
+    (
+        [('pos="-0.05 0 0.12"', 'pos="-0.005 0 0.3"')],
+        r"tips forward when it brakes, by 1\d degrees: .*4\.2 kg .* in front",
+    ),
+    ([('friction="1 0.005', 'friction="0.005 0.005')], r"drove 4\.\d+ m while its wheels rolled 5 m: they slip .*mass"),
+    (SMALLER_WHEEL, r"turned by -2\d degrees: its wheels differ \(axis, radius\)"),
+    ([(EYE, EYE + SKIRT)], r"its body \(geom skirt\) touches the floor: a caster"),
+    (TWO_LOW_CASTERS, r"its left wheel is off the floor for 2\d s: a caster is too low"),
+]
 
 
-def test_one_that_cannot_stand_or_drive_is_refused_before_it_drives(tmp_path: Path):
-    for changes, message in (
-        ([('pos="-0.15 0 0.02"', 'pos="-0.15 0 0.30"')], "does not stay level"),
-        ([('kv="0.6"', 'kv="0.6" ctrlrange="-0.5 0.5"')], r"drive\.speed_mps 0\.22, it drove 0\.\d"),
-        (LOWER_BODIES, r"0\.02 m above the floor"),
-    ):
-        with pytest.raises(InputError, match=rf"robot\.mjcf .*{message}"):
-            RoomWorld(SimSettings(robot=robot(changed(tmp_path, *changes))), empty_room())
+def test_one_that_tips_slips_or_curves_is_refused_before_it_drives_with_the_likely_cause(tmp_path: Path):
+    for changes, message in REFUSED_DRIVES:
+        with pytest.raises(InputError, match=rf"robot\.mjcf \S+: [^\n]*{message}"):
+            calibrate_own(SimSettings(robot=robot(changed(tmp_path, *changes))))
 
 
-EYE = '<site name="eye" pos="0 0 0.5"/>'
+def test_meshes_and_textures_for_looks_are_left_out_unread_and_those_that_collide_are_named(tmp_path: Path):
+    assets = '<mesh name="shell" file="/nowhere/shell.stl"/><texture name="t" type="2d" file="none.png"/>'
+    assets = f'<asset>{assets}<material name="m" texture="t"/></asset><worldbody>'
+    look = '<geom type="mesh" mesh="shell" material="m" contype="0" conaffinity="0"/>'
+    path = changed(
+        tmp_path, ("<worldbody>", assets), (EYE, EYE + look), ('size="0.20 0.15"', 'size="0.2 0.15" material="m"')
+    )
+    assert list_files(path, "robot") == [path]
+    assert describe_own(robot(path)) == describe_own(robot())
+    solid = changed(tmp_path, ("<worldbody>", assets), (EYE, EYE + '<geom name="top" type="mesh" mesh="shell"/>'))
+    with pytest.raises(InputError, match=r"^robot\.mjcf \S+: its geom top is a mesh that collides"):
+        describe_own(robot(solid))
 
 
 def test_the_camera_that_dm_env_shows_is_where_the_eye_is(tmp_path: Path):
@@ -159,18 +194,27 @@ SHELL = (
 )
 
 
-@pytest.mark.parametrize("shell", [SHELL, f'<body name="shell" pos="0 0.01 0" euler="0 0 30">{SHELL}</body>'])
-def test_a_part_that_is_fixed_to_it_feels_what_it_touches(shell: str, tmp_path: Path):
+SMALL_SHELL = ('size="0.20 0.15" pos="0 0 0.19"', 'size="0.05 0.15" pos="0 0 0.19"')
+
+
+@pytest.mark.parametrize(
+    "change",
+    [(SHELL, SHELL), (SHELL, f'<body name="shell" pos="0 0.01 0" euler="0 0 30">{SHELL}</body>'), SMALL_SHELL],
+    ids=["its body", "a part that is fixed to it", "its wheels"],
+)
+def test_it_feels_what_it_pushes_against(change: tuple[str, str], tmp_path: Path):
     room = empty_room()
     room.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=(0.1, 1.0, 0.5), pos=(0.5, 0.0, 0.5))
-    world = RoomWorld(SimSettings(robot=robot(changed(tmp_path, (SHELL, shell)))), room)
+    room.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=(0.1, 1.0, 0.002), pos=(0.25, 0.0, 0.002))
+    world = RoomWorld(SimSettings(robot=robot(changed(tmp_path, change))), room)
     world.place(np.zeros(3))
-    assert not world.bumped()
-    for _ in range(100):
+    felt = [world.bumped()]
+    while not felt[-1] and len(felt) < 100:
         world.step(np.full(2, 3.0))
-        if world.bumped():
-            return
-    pytest.fail("it drove against a wall for seconds and felt nothing")
+        felt.append(world.bumped())
+    reach_m = 0.066 if change is SMALL_SHELL else 0.2
+    assert felt[-1], "it drove against a wall for seconds and felt nothing"
+    assert world.pose()[0] == pytest.approx(0.4 - reach_m, abs=0.01), "rolling over 4 mm is no contact"
 
 
 def test_settings_that_contradict_it_and_a_log_of_it_are_refused(tmp_path: Path):

@@ -27,7 +27,7 @@ from sim.robot_log import log as writing
 from sim.robot_log.log import check_log, robot_file, write_log, write_robot
 from sim.robot_log.mcap_file import Topic, make_pose, read_key, write_mcap
 from sim.robot_log.observe import EPOCH_NS, Trace, make_base_clock
-from sim.settings import CameraMountSettings, DriveSettings, EncoderSettings, ImageFaultSettings, SimSettings
+from sim.settings import DriveSettings, EncoderSettings, ImageFaultSettings, SimSettings
 
 SEED, SAMPLES = 3, 16
 IMAGE = "/camera/image_raw/compressed"
@@ -203,23 +203,17 @@ def make_toy_world(settings: SimSettings) -> SimpleNamespace:
 Write = Callable[..., Path]
 
 
-@pytest.fixture(params=["toy", pytest.param("real", marks=pytest.mark.slow)])
-def write(
-    request: pytest.FixtureRequest, settings: SimSettings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> Write:
-    """Writes the log of the drive, or of a toy of it, into a folder and returns its path."""
-    recording = tmp_path
-    if request.param == "toy":
-        monkeypatch.setattr(writing, "TracedWorld", make_toy_world)
-        monkeypatch.setattr(writing, "trace_drive", trace_toy)
-        monkeypatch.setattr(writing, "open_truth", lambda _: SimpleNamespace(wheel_angle=np.zeros((2, 2))))
-        monkeypatch.setattr(writing, "Renderers", ToyRenderers)
-    else:
-        recording = request.getfixturevalue("recording")
+@pytest.fixture
+def write(settings: SimSettings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Write:
+    """Writes the log of a toy of the drive into a folder and returns its path."""
+    monkeypatch.setattr(writing, "TracedWorld", make_toy_world)
+    monkeypatch.setattr(writing, "trace_drive", trace_toy)
+    monkeypatch.setattr(writing, "open_truth", lambda _: SimpleNamespace(wheel_angle=np.zeros((2, 2))))
+    monkeypatch.setattr(writing, "Renderers", ToyRenderers)
 
     def write(name: str, key: str = "key", progress: Callable[..., None] = quiet, **changes: Any) -> Path:
         path = tmp_path / name / "a.mcap"
-        write_log(path, settings.model_copy(update=changes), SEED, recording, key, progress, workers=1)
+        write_log(path, settings.model_copy(update=changes), SEED, tmp_path, key, progress, workers=1)
         return path
 
     return write
@@ -290,16 +284,6 @@ def test_faults_of_the_encoders_are_in_the_log(write, settings):
     expected = np.array([sound[message.stamp] for message in states]) * (1.1, 1.0)
     tick = 2 * np.pi / faults.ticks_per_rev
     np.testing.assert_allclose([message.content.position for message in states], expected, atol=3 * tick)
-
-
-@pytest.mark.slow
-def test_a_log_in_the_place_of_another_has_pictures_of_its_own(settings, recording, tmp_path):
-    pictures = []
-    for roll_deg in (0.0, 10.0):
-        leaning = settings.model_copy(update={"camera_mount": CameraMountSettings(roll_deg=roll_deg)})
-        write_log(tmp_path / "a.mcap", leaning, SEED, recording, f"{roll_deg}", quiet, workers=1)
-        pictures.append([message.content.data.tobytes() for message in read(tmp_path / "a.mcap")[IMAGE]])
-    assert not set(pictures[0]) & set(pictures[1])
 
 
 def test_the_log_of_another_drive_is_refused(settings, recording, tmp_path):

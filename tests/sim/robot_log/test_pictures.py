@@ -7,7 +7,7 @@ import pytest
 
 from sim.recording.renderers import Part
 from sim.robot.world import RoomWorld
-from sim.robot_log.observe import COLUMNS, ROWS, draw_part, open_camera, read_pictures
+from sim.robot_log.observe import COLUMNS, ROWS, draw_part, read_pictures
 from sim.sensors.camera.fisheye import Fisheye
 from sim.sensors.camera.lens import make_lens
 from sim.sensors.camera.unwrap import unwrap_fisheye
@@ -35,6 +35,7 @@ def test_unwrapping_a_picture_gives_the_polar_image_of_the_same_state(camera, mo
     draw_part(Part(settings, states, tmp_path / "part.npz", leans), lambda: None)
     pictures = [cv2.imdecode(file, cv2.IMREAD_COLOR_RGB) for file in read_pictures(tmp_path / "part.npz")]
     centre, radius_px = ((COLUMNS - 1) / 2, (ROWS - 1) / 2), ROWS / 2
+    assert np.array(pictures).shape == (len(HEADINGS), ROWS, COLUMNS, 3)  # TurtleBot3's
     unwrapped = unwrap_fisheye(np.array(pictures), centre, radius_px, camera.rings, camera.sectors)
     with Fisheye(world.model, camera, mount) as drawn:
         for state, image in zip(states, unwrapped, strict=True):
@@ -66,10 +67,3 @@ def test_opencv_projects_as_the_camera_info_says():
     ahead, left = seen[:, 0] - matrix[:2, 2]
     np.testing.assert_allclose(ahead, [0, -np.hypot(*ahead)], atol=1e-9)
     np.testing.assert_allclose(left, [np.hypot(*left), 0], atol=1e-9)
-
-
-def test_a_picture_is_as_large_as_turtlebot3_s():
-    settings = SimSettings(room=ROOM)
-    state = RoomWorld(settings).rest_states(np.zeros((1, 3)))[0]
-    file = open_camera(settings)(state, None)  # pyright: ignore[reportArgumentType]
-    assert np.asarray(cv2.imdecode(file, cv2.IMREAD_COLOR)).shape == (ROWS, COLUMNS, 3)

@@ -1,6 +1,7 @@
 import os
 import re
 import time
+from itertools import islice
 from pathlib import Path
 
 import mujoco
@@ -11,12 +12,13 @@ from hypothesis import strategies as st
 
 from sim.errors import InputError
 from sim.robot.chassis import AMBIENT_LIGHT, LAMPLESS_AMBIENT_LIGHT, compile_scene
-from sim.robot.model import wheel_speeds
+from sim.robot.drive import drive
+from sim.robot.model import RADIUS_M, wheel_speeds
 from sim.robot.world import RoomWorld
 from sim.rooms.free_space import find_free_space
 from sim.rooms.mjcf import list_notes, load_room
 from sim.rooms.mjcf_files import list_files, try_out
-from sim.settings import SimSettings
+from sim.settings import DriveSettings, SimSettings
 
 WALLS = """
 <geom type="box" size="0.1 2 1" pos="2.1 0 1"/><geom type="box" size="0.1 2 1" pos="-2.1 0 1"/>
@@ -72,6 +74,24 @@ def test_a_robot_that_drives_off_a_box_that_is_the_only_floor_does_not_fall(tmp_
         world.step(wheel_speeds(min(0.004 * period, 0.3), 0.0))
     assert world.pose()[0] > 0.5  # the doormat ends at 0.3 m
     assert world.snapshot()[2] == pytest.approx(-0.002, abs=0.001)
+
+
+def test_a_hole_between_boxes_is_no_floor_and_stops_the_robot_but_a_crack_is_floor(tmp_path):
+    pit = '<geom type="plane" size="9 9 1" pos="0 0 -10"/>'
+    sides = "".join(
+        f'<geom type="box" size="2 {size} 0.1" pos="0 {y} -0.1"/>' for y, size in ((-1.1, 0.5), (0.5, 1.09))
+    )
+    assert list_notes(load_room(_write(tmp_path, WALLS + pit + sides)).compile()) == []
+    gap = "".join(f'<geom type="box" size="{size} 1.6 0.1" pos="{x} 0 -0.1"/>' for x, size in ((-0.5, 1.5), (1.7, 0.3)))
+    room = load_room(_write(tmp_path, WALLS + pit + gap))
+    assert list_notes(room.compile()) == [
+        "room: holes in its floor, of 1.3 m2 in all, are no floor: they stop the robot"
+    ]
+    world, rng = RoomWorld(SimSettings(), room), np.random.default_rng(0)
+    world.start(rng)
+    for segment in islice(drive(world, DriveSettings(), rng), 8):
+        assert (segment.pose[:, 0] < 1.0 - RADIUS_M).all()
+        assert world.is_free(segment.pose[:, :2]).all()
 
 
 def test_a_floor_that_is_only_drawn_is_no_floor(tmp_path):
@@ -259,6 +279,9 @@ def test_walls_of_one_mesh_are_explained(tmp_path):
         InputError, match="no free space is enclosed by walls; MuJoCo collides a mesh as its convex hull"
     ):
         find_free_space(model, 0.105, 0.37)
+    drawn = WALLS.replace("/>", ' contype="0" conaffinity="0" name="a"/>', 1)
+    with pytest.raises(InputError, match=r"walls; these of its geoms are only drawn \(contype and conaffinity 0\): a$"):
+        find_free_space(load_room(_write(tmp_path, drawn)).compile(), 0.105, 0.37)
     open_room = load_room(_write(tmp_path, '<geom type="box" size="1 1 1" pos="0 0 1"/>')).compile()
     with pytest.raises(InputError, match=r"no free space is enclosed by walls$"):
         find_free_space(open_room, 0.105, 0.37)
