@@ -147,7 +147,8 @@ def build_model(positioner: Exported) -> bytes:
     load_triton()
     module = Deployed(positioner).eval()
     some = torch.zeros((2, *positioner.shape), dtype=torch.uint8)
-    with _quiet(), torch.inference_mode():
+    logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # it warns of packages that are not needed
+    with warnings.catch_warnings(action="ignore"), torch.inference_mode():
         program = torch.onnx.export(
             module,
             (some,),
@@ -197,17 +198,3 @@ def describe_folder(
         "translation": to_frame.translation.tolist(),
         "map": None if known is None else known.list_numbers(),
     }
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Without what torch's exporter says of itself and of packages that are not needed."""
-    logger = logging.getLogger("torch.onnx")
-    before = logger.level
-    logger.setLevel(logging.ERROR)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            yield
-    finally:
-        logger.setLevel(before)

@@ -49,14 +49,10 @@ class Wish:
     causes: bool = False  # Whether causes are named for which images are refused or suspicious
 
 
-def locate(
+def _locate(
     run: Run, pictures: Iterable[Picture], unwrap: Unwrap, wish: Wish, step: Step | None, watch: Watch | None
 ) -> Iterator[Located]:
-    """Find the pose of each image when it comes, by a run whose methods have learned from polar images.
-
-    A wish says how they are located; ``step`` tracks the robot and ``watch`` names causes, if asked for. Raises
-    InputError if the map has no place in the world; where ``unwrap`` raises it, the image is located nowhere.
-    """
+    """Find the pose of each image when it comes; where ``unwrap`` refuses one, it is located nowhere."""
     alignment, positioner = run.alignment(wish.method, wish.frame), run.positioner(wish.method)
 
     def find(picture: Picture) -> Located:
@@ -67,8 +63,8 @@ def locate(
         except InputError as error:
             return Located(picture._replace(image=None, error=one_line(error)))
         pose = find_poses(positioner, polar[None]).take(0)
-        cause = None if watch is None else watch.step(polar)
         pose = pose if step is None else step(picture.name, pose)
+        cause = None if watch is None else watch.step(polar)
         return Located(picture, polar, pose if alignment is None else pose.align(alignment), cause)
 
     return map(find, pictures)
@@ -112,43 +108,31 @@ def locate_source(run: Run, source: str, stdin: BinaryIO, wish: Wish, progress: 
 
     Raises InputError if the run, the source or the options cannot be used.
     """
-    shape = find_shape(run)
+    shape, positioner, watch = find_shape(run), run.positioner(wish.method), None
     with use_threads(run.scenario.learn.train.threads):
-        watch = open_watch(run, wish.method) if wish.causes else None
+        if wish.causes:
+            if (monitor := make_monitor(positioner, run.recording)) is None:
+                raise InputError(f"--causes: method {run.choose(wish.method)} refuses no images")
+            watch = Watch(monitor)
         if wish.config is None:
             if wish.track:
                 raise InputError("--track needs the wheels of a log: --config robot.yaml")
-            yield locate(run, open_pictures(source, stdin), Unwrapper(shape, wish.circle), wish, None, watch)
+            yield _locate(run, open_pictures(source, stdin), Unwrapper(shape, wish.circle), wish, None, watch)
             return
         if wish.circle is not None:
             raise InputError("--centre and --radius-px: a log's camera is described by --config")
-        tracker = make_tracker(run, wish.method) if wish.track else None
+        if wish.track and positioner.mirrored is None:
+            raise InputError(f"--track: method {run.choose(wish.method)} gives no yaw, so its map may be mirrored")
         view_deg = find_view(run.recording)
         with open_source(Path(source), wish.config, view_deg, wish.track, progress) as log:
             check_images(log.polar, shape, view_deg)
+            tracker, odometry = Tracker(bool(positioner.mirrored)), log.odometry
 
             def step(name: str, pose: Poses) -> Poses:
-                assert tracker is not None and log.odometry is not None
-                here = float(log.odometry.travelled_m[int(name)]), float(log.odometry.yaw[int(name)])
-                return tracker.step(pose, *here)
+                assert odometry is not None
+                return tracker.step(pose, float(odometry.travelled_m[int(name)]), float(odometry.yaw[int(name)]))
 
-            yield locate(run, log.read(), log.polar.unwrap, wish, step if wish.track else None, watch)
-
-
-def open_watch(run: Run, method: str | None) -> Watch:
-    """What names causes as images come; raises InputError if the method accepts all images."""
-    monitor = make_monitor(run.positioner(method), run.recording)
-    if monitor is None:
-        raise InputError(f"--causes: method {run.choose(method)} refuses no images")
-    return Watch(monitor)
-
-
-def make_tracker(run: Run, method: str | None) -> "Tracker":
-    """What tracks the robot in a method's map; raises InputError if it gives no yaw, so that this may be mirrored."""
-    mirrored = run.positioner(method).mirrored
-    if mirrored is None:
-        raise InputError(f"--track: method {run.choose(method)} gives no yaw, so its map may be mirrored")
-    return Tracker(mirrored)
+            yield _locate(run, log.read(), log.polar.unwrap, wish, step if wish.track else None, watch)
 
 
 DISTANCE_STD_SHARE, MIN_DISTANCE_STD_M = 0.01, 0.001  # Of the way between two images, as a part of it and at least [m]

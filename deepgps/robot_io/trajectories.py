@@ -26,6 +26,7 @@ from sim.errors import InputError
 from sim.files.atomic import write_text
 from sim.recording.format import Recording, has_truth, open_truth
 from sim.robot_log.mcap_file import (
+    JOINTS,
     Topic,
     make_compressed_image,
     make_joint_state,
@@ -46,7 +47,6 @@ COLUMNS = {
     "accepted": "accepted",
 }
 """Columns of the parts of poses, but for the position."""
-JOINTS = ("wheel_left_joint", "wheel_right_joint")
 UNKNOWN_VARIANCE_M2, UNKNOWN_VARIANCE_RAD2 = 1e6, np.pi**2 / 3
 """Variances of what a method does not know: a position, and a yaw that may be any [m2, rad2]."""
 SIGMA_PER_RADIUS = 1.0 / find_normal_radius(0.68)
@@ -197,15 +197,14 @@ def list_poses(one: Trajectory, start_ns: int) -> list[Topic]:
 
 def find_variances(poses: Poses) -> np.ndarray:
     """Variances of x, y and yaw (n, 3) [m2, m2, rad2], large where they are not known."""
-    unknown = np.full(len(poses.position), np.nan)
-    std_m = unknown if poses.radius_68 is None else poses.radius_68 * SIGMA_PER_RADIUS
-    std_rad = unknown if poses.yaw_std is None else poses.yaw_std
-    place, turn = np.asarray(std_m, float) ** 2, np.asarray(std_rad, float) ** 2
-    place, turn = (
-        np.where(np.isfinite(place), place, UNKNOWN_VARIANCE_M2),
-        np.where(np.isfinite(turn), turn, UNKNOWN_VARIANCE_RAD2),
-    )
-    return np.column_stack([place, place, turn])
+
+    def square(std: np.ndarray | None, unknown: float) -> np.ndarray:
+        variance = np.full(len(poses.position), np.nan) if std is None else np.asarray(std, float) ** 2
+        return np.where(np.isfinite(variance), variance, unknown)
+
+    radius = poses.radius_68
+    place = square(None if radius is None else radius * SIGMA_PER_RADIUS, UNKNOWN_VARIANCE_M2)
+    return np.column_stack([place, place, square(poses.yaw_std, UNKNOWN_VARIANCE_RAD2)])
 
 
 def _count_ns(time_s: np.ndarray, start_ns: int) -> np.ndarray:

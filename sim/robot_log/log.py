@@ -31,7 +31,7 @@ from sim.rng import stream
 from sim.robot.model import TRACK_M, WHEEL_RADIUS_M, WHEELS
 from sim.robot.range_finder import ANGLE, REACH_M
 from sim.robot_log import mcap_file as mcap
-from sim.robot_log.mcap_file import BASE_FRAME, CAMERA_FRAME, MAP_FRAME, Topic
+from sim.robot_log.mcap_file import BASE_FRAME, CAMERA_FRAME, JOINTS, MAP_FRAME, Topic
 from sim.robot_log.observe import (
     COLUMNS,
     RECORDER,
@@ -184,7 +184,6 @@ def _observe(
 
 JOINT_S, PICTURE_S, RAY_S, TRUTH_S = 0.05, 0.1, 0.2, 0.05
 """Periods of the wheels (TurtleBot3: 20 Hz), the pictures, the rays and the truth [s]."""
-JOINTS = ("wheel_left_joint", "wheel_right_joint")
 JPEG_FORMAT = "rgb8; jpeg compressed bgr8"
 PART_PICTURES = 256
 RAY_HEIGHT_M = 0.1

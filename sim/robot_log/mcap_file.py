@@ -15,6 +15,7 @@ from rosbags.typesys.stores import ros2_humble as ros
 from sim.files.atomic import write_atomic
 
 CAMERA_FRAME, BASE_FRAME, MAP_FRAME = "camera", "base_footprint", "map"
+JOINTS = ("wheel_left_joint", "wheel_right_joint")
 INFRARED = 1  # Kind of radiation in a message of a range
 
 
