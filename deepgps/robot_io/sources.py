@@ -192,8 +192,10 @@ def _follow(robot: RobotConfig, drive: LoggedDrive, polar: PolarSource, progress
         with TemporaryFile() as file:
             lag_s, _ = compare_wheels(polar, drive, lag_s, file, progress)
     time_s = np.nan_to_num(drive.image_s, nan=-np.inf) + float(lag_s)
-    angle = drive.wheels.at(time_s)
-    angle[1:][np.diff(drive.wheels.count_breaks(time_s)) != 0] = np.nan  # the motion since the image before is unknown
+    angle = drive.driven.wheels.at(time_s)
+    angle[1:][np.diff(drive.driven.wheels.count_breaks(time_s)) != 0] = (
+        np.nan
+    )  # the motion since the image before is unknown
     return find_path(angle, robot.wheels.radius_m, robot.wheels.track_m)
 
 

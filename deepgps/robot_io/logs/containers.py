@@ -212,7 +212,7 @@ def _open_file(file: Path, stack: ExitStack, notes: list[str]) -> FilePart:
             if file.suffix != ".mcap":
                 raise
             if not (topics := _list_topics(file)):
-                raise InputError(f"{file}: {one_line(error)} No topic of ROS 2 is in its whole chunks") from None
+                raise InputError(f"{file}: {one_line(error)} It has no whole chunk with messages of ROS 2") from None
             notes.append(f"{file.name}: {shorten(one_line(error), 120)} It is read to its last whole chunk.")
             return FilePart(file, topics, lambda wanted: _walk(file, wanted))
 

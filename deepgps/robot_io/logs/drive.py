@@ -8,17 +8,15 @@ from deepgps.robot_io.logs.clocks import Clocked, choose_times
 from deepgps.robot_io.logs.messages import UNUSABLE_NOTE, PoseLog, WheelLog, find_poses
 from deepgps.robot_io.logs.pictures import ImageList
 from deepgps.robot_io.logs.robot_config import RobotConfig
-from deepgps.robot_io.logs.segmentation import Motion, Path, find_motions, find_path
-from deepgps.robot_io.logs.wheels import Wheels, clean_wheels, fill_counts
+from deepgps.robot_io.logs.segmentation import Driven, follow
+from deepgps.robot_io.logs.wheels import clean_wheels, fill_counts
 
 
 @dataclass(frozen=True)
 class LoggedDrive:
     """A log's drive, by its wheels and the times of its images."""
 
-    wheels: Wheels  # The wheels
-    path: Path  # Distance and heading by them
-    motions: list[Motion]  # What the robot did
+    driven: Driven  # What the robot did
     clocks: Clocked  # Times of all topics by one clock
     image_s: np.ndarray  # Time of each image (m,) [s]; NaN where it is not known
     pose: np.ndarray | None  # Poses at the images (m, 3), NaN where there is none; None: they are not known
@@ -40,8 +38,7 @@ def find_drive(config: RobotConfig, wheel_log: WheelLog, listed: ImageList, pose
         wheel_log.from_odometry,
     )
     wheels = fill_counts(wheels, wheel_log.topic)
-    path = find_path(wheels.angle, config.wheels.radius_m, config.wheels.track_m)
-    motions = find_motions(wheels, path, config.wheels.track_m)
+    driven = follow(wheels, config.wheels.radius_m, config.wheels.track_m)
     if config.pose and pose_log is not None:
         if pose_log.without:
             notes.append(f"{pose_log.topic}: {pose_log.without} messages are left out: {UNUSABLE_NOTE}")
@@ -49,10 +46,10 @@ def find_drive(config: RobotConfig, wheel_log: WheelLog, listed: ImageList, pose
         if config.pose.use == "truth" and (lacking := int(np.isnan(pose[:, 0]).sum())):
             notes.append(f"{pose_log.topic}: {lacking} images have no pose within half a second and are left out")
     notes += [*wheel_log.list_notes(), *wheels.notes]
-    ahead_m, back_m = (sum(path.measure(one) for one in motions if one.kind == kind) for kind in ("straight", "back"))
+    ahead_m, back_m = (driven.sum_up(kind)[2] for kind in ("straight", "back"))
     if back_m > ahead_m:  # as it seems if both wheels count backward
         notes.append(
             f"{wheel_log.topic}: the robot drove {back_m:.1f} m backward and {ahead_m:.1f} m forward: do both wheels "
             "count forward?"
         )
-    return LoggedDrive(wheels, path, motions, clocks, image_s, pose, tuple(notes), wheel_log.from_odometry)
+    return LoggedDrive(driven, clocks, image_s, pose, tuple(notes), wheel_log.from_odometry)

@@ -115,19 +115,19 @@ class _Import:
     def _choose(self) -> tuple[Plan, Plan]:
         """The images of the segments to learn from and of those held out; raises InputError if there is no segment."""
         config, drive, images = self.config, self.drive, self._match()
-        straight = [number for number, motion in enumerate(drive.motions) if motion.kind == "straight"]
+        straight = [number for number, motion in enumerate(drive.driven.motions) if motion.kind == "straight"]
         held_out = round(config.drive.held_out * len(straight))
         if config.drive.held_out and len(straight) >= MIN_SEGMENTS:
             held_out = max(held_out, 1)
-        end = straight[-held_out] if held_out else len(drive.motions)
+        end = straight[-held_out] if held_out else len(drive.driven.motions)
 
         def plan(some: range) -> Plan:
             spacing_m, ticks = config.drive.spacing_m, config.wheels.ticks_per_rev
-            return plan_recording(drive.motions, some, drive.wheels, drive.path, images, spacing_m, ticks)
+            return plan_recording(drive.driven, some, images, spacing_m, ticks)
 
-        train, test = plan(range(end)), plan(range(end, len(drive.motions)))
+        train, test = plan(range(end)), plan(range(end, len(drive.driven.motions)))
         if not len(train.motions):
-            found = {kind: sum(one.kind == kind for one in drive.motions) for kind in KINDS}
+            found = {kind: sum(one.kind == kind for one in drive.driven.motions) for kind in KINDS}
             hint = next(iter(drive.notes), "do their times overlap, and do both wheels count forward?")
             raise InputError(
                 f"{config.wheels.topic}, {self.source.topic}: no straight segment with two images was found (motions: "
@@ -141,7 +141,7 @@ class _Import:
         drive, wheels = self.drive, self.config.wheels
         order = np.argsort(drive.image_s, kind="stable")
         wheel_s = drive.image_s[order] + self.lag_s
-        angle = drive.wheels.at(np.nan_to_num(wheel_s, nan=-np.inf))
+        angle = drive.driven.wheels.at(np.nan_to_num(wheel_s, nan=-np.inf))
         good = np.isfinite(angle).all(axis=1) & ~np.isin(order, list(self.source.damaged))
         if drive.pose is not None and self.config.pose and self.config.pose.use == "truth":
             good &= np.isfinite(drive.pose[order]).all(axis=1)

@@ -116,8 +116,10 @@ def compare_wheels(
         return Pairs(drive.image_s[first], drive.image_s[second], np.array(turned))
 
     turns, others = measure(*numbers[0]), measure(*numbers[1])
-    notes = judge_pairs(turns, others, drive.wheels.time_s, drive.path.yaw, drive.path.travelled_m, source.topic)
-    lag_s, more = choose_lag(given, estimate_lag(turns, drive.wheels.time_s, drive.path.yaw))
+    notes = judge_pairs(
+        turns, others, drive.driven.wheels.time_s, drive.driven.path.yaw, drive.driven.path.travelled_m, source.topic
+    )
+    lag_s, more = choose_lag(given, estimate_lag(turns, drive.driven.wheels.time_s, drive.driven.path.yaw))
     return lag_s, notes + more
 
 
@@ -176,9 +178,9 @@ def _pair_images(drive: LoggedDrive, in_turns: bool) -> tuple[np.ndarray, np.nda
     """Numbers of the first and second image of pairs in turns and shortly before and after, or elsewhere."""
     order = np.argsort(drive.image_s, kind="stable")
     order = order[np.isfinite(drive.image_s[order])]
-    image_s, time_s = drive.image_s[order], drive.wheels.time_s
+    image_s, time_s = drive.image_s[order], drive.driven.wheels.time_s
     margin = TURN_MARGIN_S * np.array([-1.0, 1.0])
-    spans = [time_s[[one.first, one.last]] + margin for one in drive.motions if one.kind == "turn"]
+    spans = [time_s[[one.first, one.last]] + margin for one in drive.driven.motions if one.kind == "turn"]
     inside = np.zeros(len(order), bool)
     for span in spans:
         inside[slice(*np.searchsorted(image_s, span))] = True

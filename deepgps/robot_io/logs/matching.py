@@ -1,6 +1,6 @@
 """Which images of a log become observations, with the wheels' ticks at their times, and what was found and left out."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,8 +9,7 @@ import numpy as np
 from deepgps.robot_io.logs.camera import PolarSource
 from deepgps.robot_io.logs.drive import LoggedDrive
 from deepgps.robot_io.logs.robot_config import RobotConfig
-from deepgps.robot_io.logs.segmentation import Motion, Path
-from deepgps.robot_io.logs.wheels import Wheels
+from deepgps.robot_io.logs.segmentation import Driven, Path
 from sim.recording.format import measure_driven
 from sim.recording.turns import KINDS, NO_IMAGE
 from sim.sensors.encoder import ticks_to_distance
@@ -49,16 +48,12 @@ class Images:
     path: Path  # Distance and heading then
 
 
-def plan_recording(
-    motions: Sequence[Motion], some: range, wheels: Wheels, path: Path, images: Images, spacing_m: float, ticks: int
-) -> Plan:
+def plan_recording(driven: Driven, some: range, images: Images, spacing_m: float, ticks: int) -> Plan:
     """Choose images for the segments among some of a drive's motions.
 
     Args:
-        motions: All motions.
-        some: Numbers of those that are used.
-        wheels: The wheels.
-        path: Distance and heading at each of their messages.
+        driven: The drive.
+        some: Numbers of the motions that are used.
         images: The images.
         spacing_m: Distance between images on a segment [m].
         ticks: Ticks of a revolution.
@@ -67,13 +62,13 @@ def plan_recording(
     readings = list[tuple[int, int, int]]()  # segment, observation, row of the image that tells the ticks
     turns = list[tuple[int, int, int, int]]()
     for number in some:
-        chosen = _choose(motions, number, wheels, path, images, spacing_m)
+        chosen = _choose(driven, number, images, spacing_m)
         if len(chosen) < 2:
             continue
         if used:
-            kind, last = judge_turn(motions[used[-1] + 1 : number], wheels, path), rows[-1]
-            after = _find_after(motions, number, wheels, path, images, last)
-            if kind == IN_PLACE and after is not None and _is_near(images, last, path, motions[used[-1]].last):
+            kind, last = judge_turn(driven, range(used[-1] + 1, number)), rows[-1]
+            after = _find_after(driven, number, images, last)
+            if kind == IN_PLACE and after is not None and _is_near(driven, used[-1], -1, images, last):
                 # the segment begins with the observation before the turn, which the image after it shows again
                 turns.append((len(rows) - 1, len(turn_rows), len(readings), IN_PLACE))
                 turn_rows.append(after)
@@ -87,84 +82,65 @@ def plan_recording(
         used.append(number)
     table = np.array(readings, np.int64).reshape(-1, 3)
     counts = np.rint(images.angle[table[:, 2]] * ticks / (2 * np.pi)).astype(np.int64)
-    return Plan(
-        observation=images.number[rows],
-        reading=np.column_stack([table[:, :2], counts]),
-        time_s=images.time_s[table[:, 2]],
-        turn_image=images.number[turn_rows],
-        turns=np.array(turns, np.int64).reshape(-1, 4),
-        motions=tuple(used),
-    )
+    reading, turned = np.column_stack([table[:, :2], counts]), np.array(turns, np.int64).reshape(-1, 4)
+    return Plan(images.number[rows], reading, images.time_s[table[:, 2]], images.number[turn_rows], turned, tuple(used))
 
 
-def judge_turn(between: Sequence[Motion], wheels: Wheels, path: Path) -> int:
+def judge_turn(driven: Driven, between: range) -> int:
     """Number of the kind of turn that motions between two segments are together."""
     distance = turned = 0.0
-    for one in between:
-        if one.kind == "unknown" and wheels.broken[one.first : one.last].any():
+    for one in (driven.motions[number] for number in between):
+        if one.kind == "unknown" and driven.wheels.broken[one.first : one.last].any():
             return RELOCATED
         if one.kind not in {"rest", "turn"}:
-            distance += path.measure(one)
-            turned += abs(path.yaw[one.last] - path.yaw[one.first]) if one.kind != "back" else 0.0
+            distance += driven.path.measure(one)
+            turned += abs(driven.path.turn(one)) if one.kind != "back" else 0.0
     if distance <= MAX_SHIFT_M:
         return IN_PLACE
     return BACKED_OFF if distance <= NEIGHBOURHOOD_M and turned * distance < MAX_SHIFT_M else RELOCATED
 
 
-def _choose(
-    motions: Sequence[Motion], number: int, wheels: Wheels, path: Path, images: Images, spacing_m: float
-) -> np.ndarray:
+def _choose(driven: Driven, number: int, images: Images, spacing_m: float) -> np.ndarray:
     """Rows of the images of a segment, evenly spaced, its first and last included; none if it is no segment."""
-    if motions[number].kind != "straight":
+    segment, later = driven.motions[number], driven.motions[number + 1 :]
+    if segment.kind != "straight":
         return np.empty(0, int)
-    first, last = _range_at_rest(motions, number)
-    rows = np.arange(*np.searchsorted(images.wheel_s, (wheels.time_s[first], wheels.time_s[last])))
-    if _backs_off(motions[number + 1 :]):
-        rows = rows[images.path.travelled_m[rows] <= path.travelled_m[motions[number].last] - DOUBTFUL_DISTANCE_M]
+    rows = np.arange(*_find_span(driven, number, images))
+    if next((one.kind == "back" for one in later if one.kind != "rest"), False):
+        rows = rows[images.path.travelled_m[rows] <= driven.path.travelled_m[segment.last] - DOUBTFUL_DISTANCE_M]
     if not len(rows):
         return rows
     place = np.maximum.accumulate(images.path.travelled_m[rows])
     target = np.arange(place[0], place[-1], spacing_m)
-    after = np.clip(np.searchsorted(place, target), 1, max(len(place) - 1, 1))
-    after = np.minimum(after, len(place) - 1)
+    after = np.minimum(np.clip(np.searchsorted(place, target), 1, None), len(place) - 1)
     nearer = np.where(target - place[after - 1] < place[after] - target, after - 1, after)
     nearer[:1] = np.searchsorted(place, place[0] + MATCH_M / 3) - 1  # at rest, the latest
     kept = np.unique(np.append(nearer[place[-1] - place[nearer] >= MIN_SPACING_SHARE * spacing_m], len(place) - 1))
     return rows[kept]
 
 
-def _backs_off(motions: Sequence[Motion]) -> bool:
-    """Whether the robot backs off next, at once or after a rest."""
-    return next((one.kind == "back" for one in motions if one.kind != "rest"), False)
+def _find_span(driven: Driven, number: int, images: Images) -> np.ndarray:
+    """Rows of the first image, and after the last one, of a segment and the rests before and after it."""
+    motions = driven.motions[max(number - 1, 0) : number + 2]
+    near = [one for one in motions if one.kind == "rest" or one is driven.motions[number]]
+    return np.searchsorted(images.wheel_s, driven.wheels.time_s[[near[0].first, near[-1].last]])
 
 
-def _range_at_rest(motions: Sequence[Motion], number: int) -> tuple[int, int]:
-    """First and last message of the wheels of a segment and of the rests before and after it."""
-    first, last = motions[number].first, motions[number].last
-    if number > 0 and motions[number - 1].kind == "rest":
-        first = motions[number - 1].first
-    if number + 1 < len(motions) and motions[number + 1].kind == "rest":
-        last = motions[number + 1].last
-    return first, last
-
-
-def _find_after(
-    motions: Sequence[Motion], number: int, wheels: Wheels, path: Path, images: Images, last: int
-) -> int | None:
+def _find_after(driven: Driven, number: int, images: Images, last: int) -> int | None:
     """Row of the first image that shows a segment's beginning after a turn in place; None: there is none.
 
     It comes after the last row of the segment before, as segments may share a rest.
     """
-    first, _ = _range_at_rest(motions, number)
-    begin, end = np.searchsorted(images.wheel_s, wheels.time_s[[first, motions[number].last]])
-    rows = range(max(int(begin), last + 1), int(end))
-    return next((row for row in rows if _is_near(images, row, path, motions[number].first)), None)
+    end = np.searchsorted(images.wheel_s, driven.wheels.time_s[driven.motions[number].last])
+    rows = range(max(int(_find_span(driven, number, images)[0]), last + 1), int(end))
+    return next((row for row in rows if _is_near(driven, number, 0, images, row)), None)
 
 
-def _is_near(images: Images, row: int, path: Path, message: int) -> bool:
-    """Whether an image was taken where the robot was at a message of the wheels, under the same heading."""
-    apart_m = images.path.travelled_m[row] - path.travelled_m[message]
-    return abs(apart_m) <= MATCH_M and abs(images.path.yaw[row] - path.yaw[message]) <= MATCH_RAD
+def _is_near(driven: Driven, number: int, end: int, images: Images, row: int) -> bool:
+    """Whether an image was taken where a motion begins (0) or ends (-1), under the same heading."""
+    message = (driven.motions[number].first, driven.motions[number].last)[end]
+    apart_m = images.path.travelled_m[row] - driven.path.travelled_m[message]
+    return abs(apart_m) <= MATCH_M and abs(images.path.yaw[row] - driven.path.yaw[message]) <= MATCH_RAD
 
 
 MIN_COVERED_SHARE = 0.95
@@ -178,7 +154,7 @@ OTHER_MOTIONS = {"arc": "arcs", "back": "backward motions", "rest": "rests", "un
 
 def note_cover(topic: str, drive: LoggedDrive) -> list[str]:
     """Notes if images are missing in a part of the drive, which is not used, or were taken outside of it."""
-    begin_s, end_s = drive.wheels.time_s[[0, -1]]
+    begin_s, end_s = drive.driven.wheels.time_s[[0, -1]]
     image_s = np.sort(drive.image_s[np.isfinite(drive.image_s)])
     seen_s = image_s[(image_s >= begin_s) & (image_s <= end_s)]
     if not len(seen_s):
@@ -233,7 +209,7 @@ def describe(config: RobotConfig, source: PolarSource, drive: LoggedDrive, train
             topic: None if np.isnan(value) else round(value, 6) for topic, value in drive.clocks.offset_s.items()
         },
         "start_ns": drive.clocks.start_ns,
-        "duration_s": round(float(np.ptp(drive.wheels.time_s)), 3),
+        "duration_s": round(float(np.ptp(drive.driven.wheels.time_s)), 3),
         "camera": {
             **{name: getattr(source.camera, name) for name in ("model", "size", "coefficients")},
             **{"focal_px": source.camera.focal, "centre_px": source.camera.centre},
@@ -246,16 +222,13 @@ def describe(config: RobotConfig, source: PolarSource, drive: LoggedDrive, train
         "segments_m": measure_driven(train.reading[:, 0], travelled_m.mean(axis=1)),
         "turns": {name: int((kind == number).sum()) for number, name in enumerate(KINDS)},
         "turns_seen": len(train.turn_image),
-        "left_out": {name: _sum_up(drive, name) for name in OTHER_MOTIONS},
+        "left_out": {
+            name: dict(
+                zip(("count", "seconds", "metres"), map(round, drive.driven.sum_up(name), (0, 1, 2)), strict=True)
+            )
+            for name in OTHER_MOTIONS
+        },
     }
-
-
-def _sum_up(drive: LoggedDrive, kind: str) -> dict[str, float]:
-    """Number, duration [s] and distance [m] of the motions of a kind."""
-    some = [one for one in drive.motions if one.kind == kind]
-    seconds = sum(drive.wheels.time_s[one.last] - drive.wheels.time_s[one.first] for one in some)
-    metres = sum(map(drive.path.measure, some))
-    return {"count": len(some), "seconds": round(float(seconds), 1), "metres": round(float(metres), 2)}
 
 
 def write_summary(about: Mapping[str, Any]) -> str:

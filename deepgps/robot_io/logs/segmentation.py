@@ -6,7 +6,7 @@ therefore taken off before a stretch is judged.
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -47,6 +47,30 @@ class Path:
     def measure(self, motion: Motion) -> float:
         """Distance driven in a motion, forward or backward [m]."""
         return abs(float(self.travelled_m[motion.last] - self.travelled_m[motion.first]))
+
+    def turn(self, motion: Motion) -> float:
+        """Change of heading in a motion [rad]."""
+        return float(self.yaw[motion.last] - self.yaw[motion.first])
+
+
+class Driven(NamedTuple):
+    """A drive by its wheels."""
+
+    wheels: Wheels  # The wheels
+    path: Path  # Distance and heading by them
+    motions: list[Motion]  # What the robot did, in order; together, the motions cover the drive
+
+    def sum_up(self, kind: str) -> tuple[int, float, float]:
+        """Number, duration [s] and distance [m] of the motions of a kind."""
+        some, time_s = [one for one in self.motions if one.kind == kind], self.wheels.time_s
+        seconds = sum(float(time_s[one.last] - time_s[one.first]) for one in some)
+        return len(some), seconds, sum(map(self.path.measure, some))
+
+
+def follow(wheels: Wheels, radius_m: float, track_m: float) -> Driven:
+    """What a robot with wheels of this radius and track did [m]."""
+    path = find_path(wheels.angle, radius_m, track_m)
+    return Driven(wheels, path, find_motions(wheels, path, track_m))
 
 
 def find_path(angle: np.ndarray, radius_m: float, track_m: float) -> Path:
@@ -140,8 +164,8 @@ def _join(motions: list[Motion], path: Path) -> list[Motion]:
     joined: list[Motion] = []
     for motion in motions:
         joined.append(motion)
-        while (shorter := _absorb(joined, path)) is not None:
-            joined = shorter
+        while count := _count_joined(joined, path):
+            joined[-count:] = [Motion("straight", joined[-count].first, joined[-1].last)]
     return _leave_out_short(joined, "straight", MIN_SEGMENT_M, path)
 
 
@@ -153,31 +177,19 @@ def _leave_out_short(motions: list[Motion], kind: Kind, least_m: float, path: Pa
     ]
 
 
-def _absorb(motions: list[Motion], path: Path) -> list[Motion] | None:
-    """The motions with the last ones joined to one, if they belong together; None: they do not."""
-    if len(motions) >= 2:
-        before, last = motions[-2:]
-        if before.kind == "straight" and last.kind == "arc" and _is_slight(last, path):
-            return [*motions[:-2], Motion("straight", before.first, last.last)]
-        if before.kind == "arc" and last.kind == "straight" and _is_slight(before, path):
-            return [*motions[:-2], Motion("straight", before.first, last.last)]
-        short = min(path.measure(before), path.measure(last)) < MIN_SEGMENT_M
-        if before.kind == last.kind == "straight" and short and _is_one_line(before, last, path):
-            return [*motions[:-2], Motion("straight", before.first, last.last)]
-    if len(motions) >= 3:
-        before, between, last = motions[-3:]
-        still = between.kind in {"rest", "arc", "turn"} and _is_slight(between, path)
-        if before.kind == last.kind == "straight" and still and _is_one_line(before, last, path):
-            return [*motions[:-3], Motion("straight", before.first, last.last)]
-    return None
+def _count_joined(motions: list[Motion], path: Path) -> int:
+    """How many of the last motions are one segment together; 0: none."""
+    slight = [abs(path.turn(one)) < JOIN_RAD and path.measure(one) < JOIN_M for one in motions[-3:]]
+    kinds = [one.kind for one in motions[-3:]]
 
+    def are_one_line(count: int) -> bool:
+        bent = path.yaw[motions[-1].last] - path.yaw[motions[-count].first]
+        return kinds[-count] == kinds[-1] == "straight" and abs(bent) < MAX_BEND_RAD
 
-def _is_slight(motion: Motion, path: Path) -> bool:
-    """Whether a motion is too short to count."""
-    turned = abs(path.yaw[motion.last] - path.yaw[motion.first])
-    return turned < JOIN_RAD and path.measure(motion) < JOIN_M
-
-
-def _is_one_line(one: Motion, other: Motion, path: Path) -> bool:
-    """Whether two straight drives together are one."""
-    return abs(path.yaw[other.last] - path.yaw[one.first]) < MAX_BEND_RAD
+    if kinds[-2:] == ["straight", "arc"] and slight[-1]:
+        return 2
+    if kinds[-2:] == ["arc", "straight"] and slight[-2]:
+        return 2
+    if len(kinds) > 1 and are_one_line(2) and min(map(path.measure, motions[-2:])) < MIN_SEGMENT_M:
+        return 2
+    return 3 if len(kinds) > 2 and kinds[-2] in {"rest", "arc", "turn"} and slight[-2] and are_one_line(3) else 0

@@ -85,21 +85,32 @@ def clean_wheels(
     time_s, angle = _join_wheels(time_s, angle, ticks_per_rev)
     if len(time_s) < MIN_MESSAGES:
         raise InputError(f"{topic} has {len(time_s)} messages with both wheels; a drive has at least {MIN_MESSAGES}")
-    _refuse_back_and_forth(time_s, angle, topic, from_odometry)
-    angle, full, repairs = _unwrap(angle, ticks_per_rev)
-    notes = [f"{topic}: {one}" for one in repairs]
-    jumps = _find_jumps(time_s, angle)
+    row = _find_reversals(angle)
+    unwrapped, full, repairs = _unwrap(angle, ticks_per_rev)
+    jumps = _find_jumps(time_s, unwrapped)
+    if row is None and jumps.sum() > max(MAX_JUMP_SHARE * len(time_s), 4):
+        row = int(np.argmax(jumps))
+    if row is not None:
+        why = (
+            "the odometry jumps, as one that is corrected by other sensors: give the wheels' own"
+            if from_odometry
+            else "the wheels' angles jump back and forth, as if more than one program published them (record only the "
+            "one of the wheels), or as if the recorder's clock was set back"
+        )
+        raise InputError(f"{topic} at {time_s[row]:.2f} s: {why}")
+    angle, notes = unwrapped, [f"{topic}: {one}" for one in repairs]
     back = np.abs(angle[2:] - angle[:-2]) < np.abs(angle[1:-1] - angle[:-2])
     spike = jumps[:-1] & jumps[1:] & back.any(axis=1)
-    first = time_s[np.argmax(jumps)]
-    if jumps.sum() > max(MAX_JUMP_SHARE * len(time_s), 4):
-        raise _jumping(topic, first, from_odometry)
     if spike.any():
-        kept = np.append(np.insert(~spike, 0, True), True)
+        notes.append(f"{topic} at {time_s[np.argmax(jumps)]:.2f} s: {spike.sum()} messages jump and are left out")
+        kept = np.concatenate([[True], ~spike, [True]])
         time_s, angle = time_s[kept], angle[kept]
         jumps = _find_jumps(time_s, angle)
-        notes.append(f"{topic} at {first:.2f} s: {int(spike.sum())} messages jump and are left out")
-    gap, lost, paused = (kind & ~jumps for kind in _find_gaps(time_s, angle, full, image_s))
+    seconds = np.diff(time_s)
+    silent = (seconds > GAP_S) & (np.abs(np.diff(angle, axis=0)).max(axis=1) > REST_RAD) & ~jumps
+    unknown = (seconds > MAX_SILENCE_S) | (seconds[:, None] * _find_top_speed(time_s, angle) > full / 2).any(axis=1)
+    paused = _find_pauses(time_s, image_s) & ~jumps
+    gap, lost = silent & ~unknown & ~paused, silent & unknown & ~paused
     broken = jumps | lost | paused
     for row in np.flatnonzero(broken):
         angle[row + 1 :] += angle[row] - angle[row + 1]
@@ -109,65 +120,31 @@ def clean_wheels(
         (lost, "no message for {:.1f} s while the robot moved, so the way between is unknown"),
         (paused, "nothing was logged for {:.0f} s, so the robot may have been carried elsewhere"),
     ):
-        notes += _note(topic, time_s, np.flatnonzero(kind), what)
+        rows = np.flatnonzero(kind)
+        notes += [f"{topic} at {time_s[row]:.2f} s: {what.format(seconds[row])}" for row in rows[:MAX_NOTES]]
+        if len(rows) > MAX_NOTES:
+            notes.append(f"{topic}: the same at {len(rows) - MAX_NOTES} other times")
     return Wheels(time_s, angle, broken, gap, tuple(notes))
 
 
-def _note(topic: str, time_s: np.ndarray, rows: np.ndarray, what: str) -> list[str]:
-    """What happened between some messages (r,) and the next ones, for the first of them; its seconds are filled in."""
-    notes = [
-        f"{topic} at {time_s[row]:.2f} s: {what.format(time_s[row + 1] - time_s[row])}" for row in rows[:MAX_NOTES]
-    ]
-    more = len(rows) - MAX_NOTES
-    return [*notes, f"{topic}: the same at {more} other times"] if more > 0 else notes
-
-
-def _find_gaps(
-    time_s: np.ndarray, angle: np.ndarray, full: np.ndarray, image_s: np.ndarray | None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Masks (n - 1,) of the times without a message: the robot moved; it moved and the way is unknown; all paused.
-
-    Args:
-        time_s: Times of the messages (n,) [s].
-        angle: Unwrapped angles (n, 2) [rad].
-        full: Angle at which the counter of each wheel wraps around (2,) [rad]; infinite: it does not.
-        image_s: Times of images [s]; None: unknown.
-    """
-    seconds, step = np.diff(time_s), np.abs(np.diff(angle, axis=0))
-    moved = (seconds > GAP_S) & (step.max(axis=1) > REST_RAD)
-    paused = np.zeros(len(seconds), bool)
+def _find_pauses(time_s: np.ndarray, image_s: np.ndarray | None) -> np.ndarray:
+    """Mask (n - 1,) of the times between messages in which nothing was logged for long."""
+    paused = np.zeros(len(time_s) - 1, bool)
     if image_s is not None:
         all_s = np.sort(np.concatenate([time_s, image_s[(image_s > time_s[0]) & (image_s < time_s[-1])]]))
-        begins = all_s[:-1][np.diff(all_s) > PAUSE_S]
-        paused[np.searchsorted(time_s, begins, side="right") - 1] = True
-    ambiguous = (seconds[:, None] * _find_top_speed(time_s, angle) > full / 2).any(axis=1)
-    lost = moved & (ambiguous | (seconds > MAX_SILENCE_S)) & ~paused
-    return moved & ~lost & ~paused, lost, paused
+        paused[np.searchsorted(time_s, all_s[:-1][np.diff(all_s) > PAUSE_S], side="right") - 1] = True
+    return paused
 
 
-def _refuse_back_and_forth(time_s: np.ndarray, angle: np.ndarray, topic: str, from_odometry: bool) -> None:
-    """Raise InputError if two programs take turns, so that wheels jump in many steps, or a clock repeats a while."""
+def _find_reversals(angle: np.ndarray) -> int | None:
+    """The message at which wheels begin to jump back and forth, as if two programs took turns; None: nowhere."""
     step = np.diff(angle, axis=0)
     size = np.abs(step)
     low, high = np.minimum(size[1:], size[:-1]), np.maximum(size[1:], size[:-1])
-    turned = (step[1:] * step[:-1] < 0) & (low > REST_RAD) & (low > high / 2)
-    back = np.asarray(turned.any(axis=1))
+    back = ((step[1:] * step[:-1] < 0) & (low > REST_RAD) & (low > high / 2)).any(axis=1)
     if back.mean() > REVERSAL_SHARE:
-        raise _jumping(topic, float(time_s[np.argmax(back)]), from_odometry)
-    for first, last in find_stretches(back).tolist():
-        if last - first >= MAX_REVERSALS:
-            raise _jumping(topic, float(time_s[first]), from_odometry)
-
-
-def _jumping(topic: str, at_s: float, from_odometry: bool) -> InputError:
-    if from_odometry:
-        why = "the odometry jumps, as one that is corrected by other sensors: give the wheels' own"
-    else:
-        why = (
-            "the wheels' angles jump back and forth, as if more than one program published them (record only the one "
-            "of the wheels), or as if the recorder's clock was set back"
-        )
-    return InputError(f"{topic} at {at_s:.2f} s: {why}")
+        return int(np.argmax(back))
+    return next((first for first, last in find_stretches(back).tolist() if last - first >= MAX_REVERSALS), None)
 
 
 def _join_wheels(time_s: np.ndarray, angle: np.ndarray, ticks_per_rev: int) -> tuple[np.ndarray, np.ndarray]:

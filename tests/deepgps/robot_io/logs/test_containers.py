@@ -75,7 +75,7 @@ def test_an_mcap_is_read_to_its_last_whole_chunk_and_a_bag_is_not(notes: list[No
         assert found == times[: len(found)] and len(found) > 0.3 * len(times)
         assert said.startswith("log.mcap: ") and said.endswith(" It is read to its last whole chunk.")
     log.write_bytes(whole[:3000])
-    check_refused(log, r"log\.mcap: .* No topic of ROS 2 is in its whole chunks")
+    check_refused(log, r"log\.mcap: .* It has no whole chunk with messages of ROS 2")
     bag = write_log(tmp_path / "log", notes, "bag")
     bag.write_bytes(bag.read_bytes()[:-20])
     check_refused(bag, r"log\.bag cannot be read as a log: .*may be mended by rosbag reindex")
@@ -121,8 +121,8 @@ def test_files_that_are_something_else_are_named(tmp_path: Path) -> None:
     for data, message in (
         (b"version https://git-lfs.github.com/spec/v1\noid sha256:1\n", r"is a Git LFS pointer \(git lfs pull\)"),
         (b"\n<!DOCTYPE html>\n<html>", "is a web page in place of the file"),
-        (b"no log at all, but long enough to be one of some kind", "cannot be read as a log|No topic of ROS 2"),
-        (b"SQLite format 3\0" + b"\1" * 200, "cannot be read as a log|No topic of ROS 2"),
+        (b"no log at all, but long enough to be one of some kind", "cannot be read as a log|It has no whole chunk"),
+        (b"SQLite format 3\0" + b"\1" * 200, "cannot be read as a log|It has no whole chunk"),
     ):
         for suffix in (".bag", ".mcap", ".db3"):
             file = tmp_path / f"a{suffix}"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deepgps.robot_io.logs.matching import Images, Plan, plan_recording
-from deepgps.robot_io.logs.segmentation import find_motions, find_path
+from deepgps.robot_io.logs.segmentation import find_path, follow
 from deepgps.robot_io.logs.wheels import clean_wheels
 from sim.recording.turns import check_turns
 from tests.helpers.robot_log import RADIUS_M, TICK, TRACK_M
@@ -27,12 +27,11 @@ def plan(angle: np.ndarray, spacing_m: float = 0.1, every: int = 2, lag_s: float
     """The plan of a drive with an image at every second message of the wheels, which come late by a lag."""
     time_s = np.arange(len(angle)) * STEP_S
     wheels = clean_wheels(time_s, angle, 4096, "/joint_states")
-    path = find_path(wheels.angle, RADIUS_M, TRACK_M)
-    motions = find_motions(wheels, path, TRACK_M)
+    driven = follow(wheels, RADIUS_M, TRACK_M)
     seen = np.arange(0, len(angle), every)
     there = find_path(wheels.angle[seen], RADIUS_M, TRACK_M)
     images = Images(seen // every, time_s[seen] - lag_s, time_s[seen], wheels.angle[seen], there)
-    found = plan_recording(motions, range(len(motions)), wheels, path, images, spacing_m, 4096)
+    found = plan_recording(driven, range(len(driven.motions)), images, spacing_m, 4096)
     check_turns(found.turns, len(found.observation), len(found.turn_image), found.reading[:, 0])
     return found, images
 

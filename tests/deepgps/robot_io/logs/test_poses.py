@@ -2,7 +2,7 @@
 
 import math
 from types import SimpleNamespace
-from typing import Any, ClassVar
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -34,8 +34,8 @@ def test_a_quaternion_of_any_length_gives_the_yaw(yaw: float, lean: float, lengt
 class Given:
     """A part of a log whose messages are given."""
 
-    types: ClassVar = {}
-    counts: ClassVar = {}
+    def __init__(self) -> None:
+        self.types, self.counts = dict[str, str](), dict[str, int]()
 
     def read(self, topics: Any) -> Any:
         return iter(())
