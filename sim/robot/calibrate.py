@@ -105,7 +105,7 @@ def _find_faults(world: Any) -> Iterator[str]:
     told = f"told to drive {STRAIGHT_M:g} m at drive.speed_mps {speed_mps:g}, it"
     if world.model.actuator_ctrllimited.any() and most_rps < (needed_rps := speed_mps / world.body.wheel_radius_m):
         yield f"{told} needs wheels that turn at {needed_rps:.3g} rad/s, and their ctrlrange ends at {most_rps:g}"
-    slip = "slip (too little mass or friction on them, or a caster that drags)"
+    slip = "slip (too little mass or friction on them for the motors, or a caster that drags)"
     for way in (1.0, -1.0):
         yield from world.watch(partial(_drive_straight, world, way))
         rolled_m, driven_m = abs(world.wheel_angle().mean()) * world.axle_m, np.hypot(*world.pose()[:2])

@@ -9,7 +9,7 @@ import numpy as np
 from sim.errors import InputError, one_line, shorten
 from sim.robot.model import BASE, CAMERA, CAMERA_SITE, WHEELS, Body
 from sim.rooms.mjcf_files import list_files
-from sim.rooms.spec import drop_claims, drop_looks
+from sim.rooms.spec import strip_robot
 from sim.settings import RobotSettings
 
 _ANGLE = np.linspace(0.0, 2.0 * np.pi, 720, endpoint=False)
@@ -122,8 +122,7 @@ def _read(robot: RobotSettings) -> mujoco.MjSpec:
     list_files(path, "robot")
     try:
         spec = mujoco.MjSpec.from_file(str(path.resolve()))
-        drop_claims(spec)
-        drop_looks(spec)
+        strip_robot(spec)
     except InputError as error:
         raise _refuse(robot, str(error)) from None
     except (ValueError, RuntimeError, MemoryError, mujoco.FatalError) as error:

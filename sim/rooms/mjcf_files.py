@@ -139,13 +139,12 @@ def try_out(path: Path, kind: Kind) -> list[Path]:
         import mujoco
     except ModuleNotFoundError:
         return files
-    from sim.rooms.spec import drop_claims, drop_looks, make_static
+    from sim.rooms.spec import make_static, strip_robot
 
     mujoco.set_mju_user_warning(lambda text: None)
     try:
         spec = mujoco.MjSpec.from_file(str(path))
-        for prepare in (make_static,) if kind == "room" else (drop_claims, drop_looks):
-            prepare(spec)
+        (make_static if kind == "room" else strip_robot)(spec)
         model = spec.compile()
     except InputError:
         raise

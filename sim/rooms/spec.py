@@ -56,11 +56,21 @@ def drop_claims(spec: mujoco.MjSpec) -> None:
     spec.visual.global_.offheight = defaults.visual.global_.offheight
 
 
-def drop_looks(spec: mujoco.MjSpec) -> None:
-    """Remove what is only looked at, unread: textures, skins, and meshes that collide with nothing, with their mass.
+def strip_robot(spec: mujoco.MjSpec) -> None:
+    """Remove claims for memory, and unread what is only looked at: textures, skins, and meshes that collide with
+    nothing, with their mass. What a pair says of the contact of a geom with a floor becomes the geom's own.
 
     Raises InputError if a part of the robot that collides is a mesh.
     """
+    drop_claims(spec)
+    for pair in list(spec.pairs):
+        both = [geom for geom in map(spec.geom, (pair.geomname1, pair.geomname2)) if geom is not None]
+        own = [geom for geom in both if geom.parent.name != "world"]
+        if len(own) < 2:
+            for geom in own:
+                geom.condim, geom.friction = pair.condim, pair.friction[[0, 2, 3]]
+                geom.solref, geom.solimp = pair.solref, pair.solimp
+            spec.delete(pair)
     for geom in [geom for geom in spec.geoms if geom.meshname or geom.hfieldname]:
         if (geom.contype or geom.conaffinity) and geom.parent.name != "world":
             name = shorten(geom.name or geom.meshname or geom.hfieldname)

@@ -157,9 +157,11 @@ def test_meshes_and_textures_for_looks_are_left_out_unread_and_those_that_collid
     assets = '<mesh name="shell" file="/nowhere/shell.stl"/><texture name="t" type="2d" file="none.png"/>'
     assets = f'<asset>{assets}<material name="m" texture="t"/></asset><worldbody>'
     look = '<geom type="mesh" mesh="shell" material="m" contype="0" conaffinity="0"/>'
-    path = changed(
-        tmp_path, ("<worldbody>", assets), (EYE, EYE + look), ('size="0.20 0.15"', 'size="0.2 0.15" material="m"')
-    )
+    changes = ("<worldbody>", assets), (EYE, EYE + look), ('size="0.20 0.15"', 'size="0.2 0.15" material="m"')
+    pair = ("<contact>", '<contact><pair geom1="skirt" geom2="floor" condim="1" friction="0.05"/>')
+    skirt = load_own_robot(robot(changed(tmp_path, (EYE, EYE + SKIRT), pair))).geom("skirt")
+    assert (skirt.condim, skirt.friction[0]) == (1, 0.05)
+    path = changed(tmp_path, *changes)
     assert list_files(path, "robot") == [path]
     assert describe_own(robot(path)) == describe_own(robot())
     solid = changed(tmp_path, ("<worldbody>", assets), (EYE, EYE + '<geom name="top" type="mesh" mesh="shell"/>'))
