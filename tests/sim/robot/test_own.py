@@ -13,7 +13,7 @@ from sim.robot.calibrate import calibrate_own, run
 from sim.robot.drive import TOUCH_ENDINGS, next_segment
 from sim.robot.headings import DriveMode, Visits
 from sim.robot.model import CAMERA, CAMERA_SITE, RADIUS_M, TRACK_M, WHEEL_RADIUS_M
-from sim.robot.own import describe_own
+from sim.robot.own import describe_own, load_own_robot
 from sim.robot.range_finder import clear_length
 from sim.robot.world import RoomWorld
 from sim.robot_log.log import check_log

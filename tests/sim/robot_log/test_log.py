@@ -1,7 +1,8 @@
 """The log of a drive: its topics, its times, what it shares with the recording, and how it is written."""
 
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from threading import Thread
 from types import SimpleNamespace
@@ -168,23 +169,14 @@ def test_it_has_the_same_bytes_on_any_number_of_cores(path, settings, recording,
     assert list_names(tmp_path) == {"drive.mcap", "drive.robot.yaml"}
 
 
-class ToyRenderers:
+@contextmanager
+def open_toy_renderers(*_: object) -> Iterator[SimpleNamespace]:
     """Writes parts whose pictures are drawn by nobody: their numbers, as bytes."""
 
-    def __init__(self, *_: object) -> None:
-        pass
-
-    def __enter__(self) -> "ToyRenderers":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        pass
-
-    def give(self, part: Part) -> None:
+    def give(part: Part) -> None:
         write_arrays(part.path, {f"{row}": np.full(9, row, np.uint8) for row in range(len(part.states))})
 
-    def finish(self, tell: Callable[[int], None]) -> None:
-        tell(0)
+    yield SimpleNamespace(give=give, finish=lambda tell: tell(0))
 
 
 def trace_toy(*_: object) -> tuple[Trace, np.ndarray]:
@@ -209,7 +201,7 @@ def write(settings: SimSettings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(writing, "TracedWorld", make_toy_world)
     monkeypatch.setattr(writing, "trace_drive", trace_toy)
     monkeypatch.setattr(writing, "open_truth", lambda _: SimpleNamespace(wheel_angle=np.zeros((2, 2))))
-    monkeypatch.setattr(writing, "Renderers", ToyRenderers)
+    monkeypatch.setattr(writing, "Renderers", open_toy_renderers)
 
     def write(name: str, key: str = "key", progress: Callable[..., None] = quiet, **changes: Any) -> Path:
         path = tmp_path / name / "a.mcap"
