@@ -1,7 +1,8 @@
 """One time for all topics of a log, by the stamps of their messages.
 
 A message's delay is when it was logged minus its stamp. Messages that were logged together were held up on their way,
-and only the one with the least delay tells the clock; of the others, stamps must lie between it and the one before.
+and only the one with the least delay tells the clock; of the others, stamps must lie between it and the one before. A
+delay that changes while stamps advance evenly, as when a simulation halts, is no fault of the clock.
 """
 
 from collections.abc import Mapping, Sequence
@@ -51,49 +52,47 @@ class Times:
         return float(np.ptp(np.percentile(self.log_s, (5, 95)))) / max(0.9 * len(self.log_s), 1)
 
     @cached_property
-    def prompt(self) -> np.ndarray:
-        """Numbers of the stamped messages that were not held up, in the order of logging (k,)."""
-        return self._groups[0]
-
-    @cached_property
-    def unordered(self) -> np.ndarray:
-        """Mask (n,) of messages without a stamp, or that were held up and whose stamp cannot be right."""
-        rows, known, group = self._groups
-        after = self.stamp_s[rows]
-        before = np.concatenate([[-np.inf], after])[:-1]
-        stamp, wrong = self.stamp_s[known], np.ones(len(self.log_s), bool)
-        wrong[known] = (stamp < before[group] - MAX_STEP_S) | (stamp > after[group] + MAX_STEP_S)
-        wrong[rows] = False
-        return wrong
-
-    @cached_property
-    def _groups(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The prompt message of each group that was logged together, all stamped ones, and their groups."""
+    def groups(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Numbers of the stamped messages that were not held up, in the order of logging (k,), how many came up to each
+        (n,), and a mask (n,) of those without a stamp, or that were held up and whose stamp cannot be right."""
         order = np.argsort(self.log_s, kind="stable")
         known = order[np.isfinite(self.stamp_s[order])]
         begins = np.diff(self.log_s[known], prepend=-np.inf) > GROUP_SHARE * self.period_s
         group = np.cumsum(begins) - 1
-        by_delay = np.lexsort((self.late_s[known], group))
-        return known[by_delay[begins]], known, group
+        prompt = known[np.lexsort((self.late_s[known], group))[begins]]
+        stamp, after = self.stamp_s[known], self.stamp_s[prompt]
+        before = np.concatenate([[-np.inf], after])[:-1]
+        wrong, passed = np.ones(len(self.log_s), bool), np.zeros(len(self.log_s), int)
+        passed[prompt] = np.append(np.flatnonzero(begins)[1:], len(known))
+        wrong[known] = (stamp < before[group] - MAX_STEP_S) | (stamp > after[group] + MAX_STEP_S)
+        wrong[prompt] = False
+        return prompt, passed, wrong
 
-    def find_changes(self, rows: np.ndarray) -> np.ndarray:
-        """Changes of the delay from one of some messages (k,) to the next, without its local trend (k - 1,) [s]."""
-        change, seconds = np.diff(self.late_s[rows]), np.diff(self.log_s[rows])
-        return change - median_filter(change / seconds, TREND_MESSAGES, mode="nearest") * seconds
+    def find_changes(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Changes of the delay from one of some messages (k,) to the next, without its local trend, and of the stamp,
+        without the usual one (k - 1,), (k - 1,) [s]."""
+        given = self.late_s, self.log_s, self.stamp_s, self.groups[1]
+        change, seconds, stamped, count = (np.diff(values[rows]) for values in given)
+        if not len(change):
+            return change, stamped
+        change -= median_filter(change / seconds, TREND_MESSAGES, mode="nearest") * seconds
+        return change, stamped - np.median(stamped / count) * count
 
     @cached_property
     def outlier(self) -> np.ndarray:
-        """Mask (n,) of the messages whose delay differs from that of both neighbours."""
-        found, change = self.unordered.copy(), self.find_changes(self.prompt)
+        """Mask (n,) of the messages whose delay and stamp differ from those of both neighbours."""
+        rows, _, wrong = self.groups
+        found, (change, stamped) = wrong.copy(), self.find_changes(rows)
         if len(change):
-            before, after = np.r_[-change[0], change], np.r_[change, -change[-1]]
-            found[self.prompt] = (np.abs(before - after) > 2 * MAX_STEP_S) & (np.abs(before + after) <= MAX_STEP_S)
+            around = [(np.r_[-one[0], one], np.r_[one, -one[-1]]) for one in (change, stamped)]
+            apart = np.min([np.abs(before - after) for before, after in around], axis=0) > 2 * MAX_STEP_S
+            found[rows] = apart & (np.abs(np.add(*around[0])) <= MAX_STEP_S)
         return found
 
     @cached_property
     def plausible(self) -> np.ndarray:
-        """Numbers of the prompt messages that are no outliers (k,)."""
-        return self.prompt[~self.outlier[self.prompt]]
+        """Numbers of the messages that were not held up and are no outliers (k,)."""
+        return self.groups[0][~self.outlier[self.groups[0]]]
 
     def find_fault(self) -> str | None:
         """What is wrong with the stamps, in words; None: nothing but a few outliers."""
@@ -105,13 +104,48 @@ class Times:
                 f"{self.topic}: {count} of {len(self.log_s)} messages are stamped otherwise than their neighbours, "
                 f"first at {self.log_s[self.outlier].min():.1f} s"
             )
-        change = self.find_changes(rows)
-        steps = np.flatnonzero(np.abs(change) > MAX_STEP_S)
+        change, stamped = self.find_changes(rows)
+        steps = np.flatnonzero(np.minimum(np.abs(change), np.abs(stamped)) > MAX_STEP_S)
         if not len(steps):
             return None
         size, at_s = change[steps[0]], self.log_s[rows[steps[0] + 1]]
         how = f"{'back' if size > 0 else 'ahead'} by {abs(size):.3f} s at {at_s:.1f} s"
         return f"the clock of {self.topic} is set {how}" + (f", one of {len(steps)} times" if len(steps) > 1 else "")
+
+    def compare(self, other: "Times") -> str | None:
+        """How another topic's delays differ at the same instants, in words; None: both share a clock."""
+        log_s, other_s = self.log_s[self.plausible], other.log_s[other.plausible]
+        if not len(other_s) or not (inside := (log_s >= other_s[0]) & (log_s <= other_s[-1])).any():
+            return None
+        log_s, late_s = log_s[inside], self.late_s[self.plausible][inside]
+        apart = late_s - np.interp(log_s, other_s, other.late_s[other.plausible])
+        apart = median_filter(apart, TREND_MESSAGES, mode="nearest")
+        worst = int(np.argmax(np.abs(apart)))
+        if abs(apart[worst]) < MAX_STEP_S + self.period_s + other.period_s:
+            return None
+        how = f"by {apart[worst]:+.3f} s at {log_s[worst]:.1f} s"
+        return f"the clock of {other.topic} differs from that of {self.topic} {how}"
+
+    def take_logged(self) -> tuple[np.ndarray, str | None]:
+        """Times by the recorder's clock (n,) [s], and what is wrong with them: stamps advance otherwise.
+
+        They are stamps plus the least delay around them, or where a stamp does not fit, when the message was logged.
+        """
+        log_s = self.log_s
+        if not self.is_stamped:
+            together = (np.diff(np.sort(log_s)) <= GROUP_SHARE * self.period_s).mean() > 0.5
+            return log_s, f"{self.topic}: messages without stamps were logged in bursts" if together else None
+        rows, _, wrong = self.groups
+        least = minimum_filter(self.late_s[rows], TREND_MESSAGES, mode="nearest")
+        found = np.where(wrong, np.nan, self.stamp_s + np.interp(log_s, log_s[rows], least))
+        found[rows] = np.where(self.late_s[rows] - least > MAX_STEP_S, log_s[rows], found[rows])
+        uneven = int((np.abs(np.diff(found[rows]) - np.diff(self.stamp_s[rows])) > MAX_STEP_S).sum())
+        if uneven <= max(MAX_OUTLIER_SHARE * len(log_s), 2):
+            return found, None
+        return (
+            found,
+            f"{self.topic}: times of logging and stamps advance differently at {uneven} of {len(log_s)} messages",
+        )
 
 
 class Clocked(NamedTuple):
@@ -139,54 +173,13 @@ def take_times(logs: Mapping[str, tuple[Any, Any]]) -> tuple[list[Times], int, i
     return times, log_ns, stamp_ns
 
 
-def find_fault(topics: Sequence[Times]) -> str | None:
-    """What is wrong with the clocks of topics, in words: in one of them, or between the first and another."""
-    one_by_one = (one.find_fault() for one in topics)
-    return next(filter(None, one_by_one), None) or next(
-        filter(None, (_compare(topics[0], other) for other in topics[1:])), None
-    )
-
-
-def _compare(first: Times, second: Times) -> str | None:
-    """How the delays of two topics differ at the same instants, in words; None: they share a clock."""
-    (log_s, late_s), (other_s, other_late_s) = (
-        (one.log_s[one.plausible], one.late_s[one.plausible]) for one in (first, second)
-    )
-    inside = (log_s >= other_s[0]) & (log_s <= other_s[-1])
-    if not inside.any():
-        return None
-    log_s, late_s = log_s[inside], late_s[inside]
-    apart = median_filter(late_s - np.interp(log_s, other_s, other_late_s), TREND_MESSAGES, mode="nearest")
-    worst = int(np.argmax(np.abs(apart)))
-    if abs(apart[worst]) < MAX_STEP_S + first.period_s + second.period_s:
-        return None
-    how = f"by {apart[worst]:+.3f} s at {log_s[worst]:.1f} s"
-    return f"the clock of {second.topic} differs from that of {first.topic} {how}"
-
-
-def take_logged(times: Times) -> tuple[np.ndarray, str | None]:
-    """Times by the recorder's clock (n,) [s], and what is wrong with them: stamps advance otherwise, or came in bursts.
-
-    They are stamps plus the least delay around them, or where a stamp does not fit, when the message was logged.
-    """
-    log_s = times.log_s
-    if not times.is_stamped:
-        together = (np.diff(np.sort(log_s)) <= GROUP_SHARE * times.period_s).mean() > 0.5
-        return log_s, f"{times.topic}: messages without stamps were logged in bursts" if together else None
-    rows = times.prompt
-    delay = np.interp(log_s, log_s[rows], minimum_filter(times.late_s[rows], TREND_MESSAGES, mode="nearest"))
-    apart = ~(np.abs(times.late_s - delay) <= MAX_STEP_S)
-    apart[times.unordered & np.isfinite(times.stamp_s)] = False
-    apart[np.setdiff1d(np.arange(len(log_s)), rows)] = False
-    found = np.where(apart, log_s, times.stamp_s + delay)
-    found[times.unordered] = np.nan
-    uneven = np.abs(np.diff(found[rows]) - np.diff(times.stamp_s[rows])) > MAX_STEP_S
-    if uneven.sum() <= max(MAX_OUTLIER_SHARE * len(log_s), 2):
-        return found, None
-    return (
-        found,
-        f"{times.topic}: times of logging and stamps advance differently at {uneven.sum()} of {len(log_s)} messages",
-    )
+def find_faults(topics: Sequence[Times]) -> tuple[str | None, str | None]:
+    """What is wrong with the stamps of topics, in one or between the first and another, and with the times of logging,
+    in words; None: nothing."""
+    stamps = [one.find_fault() for one in topics]
+    if not any(stamps):
+        stamps = [topics[0].compare(other) for other in topics[1:]]
+    return next(filter(None, stamps), None), next(filter(None, (one.take_logged()[1] for one in topics)), None)
 
 
 def choose_times(logs: Mapping[str, tuple[Any, Any]], logged: bool) -> Clocked:
@@ -202,14 +195,12 @@ def choose_times(logs: Mapping[str, tuple[Any, Any]], logged: bool) -> Clocked:
     topics, log_ns, stamp_ns = take_times(logs)
     apart_s = (log_ns - stamp_ns) * NS
     offset_s = {one.topic: float(np.nanmedian(one.late_s)) + apart_s if one.is_stamped else np.nan for one in topics}
-    by_log = {one.topic: take_logged(one) for one in topics}
-    unfit = next(filter(None, (fault for _, fault in by_log.values())), None)
+    fault, unfit = find_faults(topics)
+    if logged and unfit:
+        raise InputError(f"clocks: logged: {unfit}")
     if logged:
-        if unfit:
-            raise InputError(f"clocks: logged: {unfit}")
-        found = {topic: time_s for topic, (time_s, _) in by_log.items()}
-        return Clocked(found, [], log_ns, offset_s)
-    if fault := find_fault(topics):
+        return Clocked({one.topic: one.take_logged()[0] for one in topics}, [], log_ns, offset_s)
+    if fault:
         way_out = f"nor do the times of logging help: {unfit}" if unfit else "clocks: logged takes the times of logging"
         raise InputError(f"{fault}; {way_out}")
     notes = [

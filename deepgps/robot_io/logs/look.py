@@ -9,7 +9,7 @@ import numpy as np
 
 from deepgps.robot_io.logs import plain_folder
 from deepgps.robot_io.logs.camera import CAMERA_INFO, read_info
-from deepgps.robot_io.logs.clocks import find_fault, take_logged, take_times
+from deepgps.robot_io.logs.clocks import find_faults, take_times
 from deepgps.robot_io.logs.containers import open_log
 from deepgps.robot_io.logs.messages import GAP_S, JOINT_STATE, ODOMETRY, POSE_KINDS
 from deepgps.robot_io.logs.pictures import COMPRESSED_IMAGE, RAW_IMAGE, decoder
@@ -200,9 +200,9 @@ def _judge_clocks(heard: Sequence[Seen]) -> tuple[list[str], str]:
     """The verdict on the clocks of some topics, in words, and the setting that it asks for."""
     if not heard:
         return [], "checked"
-    times, _, _ = take_times({one.topic: (one.log_ns, one.stamp_ns) for one in heard})
-    if not (fault := find_fault(times)):
+    fault, unfit = find_faults(take_times({one.topic: (one.log_ns, one.stamp_ns) for one in heard})[0])
+    if fault is None:
         return [f"one clock: {', '.join(one.topic for one in heard)}"], "checked"
-    if unfit := next(filter(None, (take_logged(one)[1] for one in times)), None):
+    if unfit:
         return [f"{fault}: the log will be refused; nor do the times of logging help: {unfit}"], "checked"
     return [f"{fault}: the times of logging are taken"], "logged"

@@ -141,7 +141,7 @@ def _find_reversals(angle: np.ndarray) -> int | None:
     step = np.diff(angle, axis=0)
     size = np.abs(step)
     low, high = np.minimum(size[1:], size[:-1]), np.maximum(size[1:], size[:-1])
-    back = ((step[1:] * step[:-1] < 0) & (low > REST_RAD) & (low > high / 2)).any(axis=1)
+    back = np.asarray(((step[1:] * step[:-1] < 0) & (low > REST_RAD) & (low > high / 2)).any(axis=1))
     if back.mean() > REVERSAL_SHARE:
         return int(np.argmax(back))
     return next((first for first, last in find_stretches(back).tolist() if last - first >= MAX_REVERSALS), None)

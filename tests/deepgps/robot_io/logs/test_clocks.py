@@ -101,6 +101,18 @@ def test_a_slow_simulation_is_one_clock_and_its_times_of_logging_are_refused(fac
             choose_times(slow, True)
 
 
+@given(st.integers(0, 99), st.floats(0.1, 1.0))
+def test_a_simulation_that_halts_and_messages_that_are_held_up_keep_their_stamps(seed: int, most_s: float) -> None:
+    rng, logs = np.random.default_rng(seed), make()
+    at_s, halt_s = np.sort(rng.uniform(1.0, DRIVE_S, 20)), rng.uniform(0.0, most_s, 20)
+    for topic, (log, stamp) in logs.items():
+        halted_s = (TIME_S[topic][:, None] > at_s) @ halt_s
+        held_s = rng.uniform(0.0, 0.3, len(log)) * (rng.random(len(log)) < 0.1)
+        held = np.maximum.accumulate(log + (1e9 * (halted_s + held_s)).astype(np.int64) + np.arange(len(log)))
+        logs[topic] = held, stamp
+    check_times(logs, False, 1e-6)
+
+
 @given(st.integers(2, 40), st.booleans())
 def test_messages_that_arrive_in_bursts_keep_their_stamps(size: int, reverse: bool) -> None:
     """They are held up, and the last of them arrives at its time; in any order."""
