@@ -146,20 +146,14 @@ class LogSource:
     odometry: Odometry | None
 
     def read(self) -> Iterator[Picture]:
-        """Its images; one that cannot be decoded says why when the next one is read."""
-        wanted, damaged = range(len(self.listed.log_ns)), dict[int, str]()
-        for number, image in take_images(self.polar.log, self.polar.topic, wanted, damaged):
-            yield from self._tell(damaged)
-            yield Picture(str(number), image, time_s=self._time_s(number))
-        yield from self._tell(damaged)
-
-    def _tell(self, damaged: dict[int, str]) -> Iterator[Picture]:
-        """Pictures without images for those that are damaged, which are then forgotten."""
-        for number in sorted(damaged):
-            yield Picture(str(number), None, damaged.pop(number), self._time_s(number))
-
-    def _time_s(self, number: int) -> float:
-        return NS * (self.listed.stamp_ns[number] or self.listed.log_ns[number])
+        """Its images, or why one cannot be decoded."""
+        log_ns, stamp_ns = self.listed.log_ns, self.listed.stamp_ns
+        for number, image in take_images(self.polar.log, self.polar.topic, range(len(log_ns))):
+            time_s = NS * (stamp_ns[number] or log_ns[number])
+            if isinstance(image, InputError):
+                yield Picture(str(number), None, str(image), time_s)
+            else:
+                yield Picture(str(number), image, time_s=time_s)
 
 
 @contextmanager
@@ -192,10 +186,9 @@ def _follow(robot: RobotConfig, drive: LoggedDrive, polar: PolarSource, progress
         with TemporaryFile() as file:
             lag_s, _ = compare_wheels(polar, drive, lag_s, file, progress)
     time_s = np.nan_to_num(drive.image_s, nan=-np.inf) + float(lag_s)
-    angle = drive.driven.wheels.at(time_s)
-    angle[1:][np.diff(drive.driven.wheels.count_breaks(time_s)) != 0] = (
-        np.nan
-    )  # the motion since the image before is unknown
+    wheels = drive.driven.wheels
+    angle = wheels.at(time_s)
+    angle[1:][np.diff(wheels.count_breaks(time_s)) != 0] = np.nan  # the motion since the image before is unknown
     return find_path(angle, robot.wheels.radius_m, robot.wheels.track_m)
 
 

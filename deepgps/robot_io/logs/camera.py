@@ -223,8 +223,10 @@ class PolarSource:
             return np.empty((0, *self.shape), np.uint8)
         store.truncate(len(wanted) * int(np.prod(self.shape)))
         images = np.memmap(store, np.uint8, "r+", shape=(len(wanted), *self.shape))
-        for done, (number, image) in enumerate(take_images(self.log, self.topic, places, self.damaged), start=1):
+        for done, (number, image) in enumerate(take_images(self.log, self.topic, places), start=1):
             try:
+                if isinstance(image, InputError):
+                    raise image
                 images[places[number]] = self.unwrap(image)
             except InputError as error:
                 self.damaged[number] = str(error)
@@ -238,12 +240,10 @@ def open_polar(log: Log, config: CameraConfig) -> PolarSource:
     Raises:
         InputError: There is no such image, or no calibration for it.
     """
-    problems = dict[int, str]()
-    first = take_images(log, config.topic, range(FIRST_IMAGES), problems)
-    sizes = Counter((image.shape[1], image.shape[0]) for _, image in first)
+    first = [image for _, image in take_images(log, config.topic, range(FIRST_IMAGES))]
+    sizes = Counter((image.shape[1], image.shape[0]) for image in first if not isinstance(image, InputError))
     if not sizes:
-        why = next(iter(problems.values()), "there is none")
-        raise InputError(f"camera.topic {config.topic}: none of the first images can be used: {why}")
+        raise InputError(f"camera.topic {config.topic}: none of the first images can be used: {first[0]}")
     camera = find_camera(log, config, sizes.most_common(1)[0][0])
     unwrap, lens = prepare_unwrapping(camera, config)
     return PolarSource(log, config.topic, camera, unwrap, lens)

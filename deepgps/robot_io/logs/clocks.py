@@ -75,7 +75,7 @@ class Times:
         change, seconds, stamped, count = (np.diff(values[rows]) for values in given)
         if not len(change):
             return change, stamped
-        change -= median_filter(change / seconds, TREND_MESSAGES, mode="nearest") * seconds
+        change -= median_filter(change / seconds, TREND_MESSAGES) * seconds
         return change, stamped - np.median(stamped / count) * count
 
     @cached_property
@@ -119,7 +119,7 @@ class Times:
             return None
         log_s, late_s = log_s[inside], self.late_s[self.plausible][inside]
         apart = late_s - np.interp(log_s, other_s, other.late_s[other.plausible])
-        apart = median_filter(apart, TREND_MESSAGES, mode="nearest")
+        apart = median_filter(apart, TREND_MESSAGES)
         worst = int(np.argmax(np.abs(apart)))
         if abs(apart[worst]) < MAX_STEP_S + self.period_s + other.period_s:
             return None
@@ -136,7 +136,7 @@ class Times:
             together = (np.diff(np.sort(log_s)) <= GROUP_SHARE * self.period_s).mean() > 0.5
             return log_s, f"{self.topic}: messages without stamps were logged in bursts" if together else None
         rows, _, wrong = self.groups
-        least = minimum_filter(self.late_s[rows], TREND_MESSAGES, mode="nearest")
+        least = minimum_filter(self.late_s[rows], TREND_MESSAGES)
         found = np.where(wrong, np.nan, self.stamp_s + np.interp(log_s, log_s[rows], least))
         found[rows] = np.where(self.late_s[rows] - least > MAX_STEP_S, log_s[rows], found[rows])
         uneven = int((np.abs(np.diff(found[rows]) - np.diff(self.stamp_s[rows])) > MAX_STEP_S).sum())

@@ -52,11 +52,10 @@ ENCODINGS = {
 
 def decoder(kind: str) -> Callable[[Any], np.ndarray]:
     """The function that turns a message of a type into an image (height, width, 3) uint8 RGB, or raises InputError."""
-    take = decode_raw if kind == RAW_IMAGE else decode_compressed
 
     def decode(message: Any) -> np.ndarray:
         try:
-            return take(message)
+            return decode_raw(message) if kind == RAW_IMAGE else decode_compressed(message)
         except cv2.error as error:  # a size that the encoding cannot have, or that no memory could hold
             raise InputError(one_line(error)) from None
 
@@ -137,26 +136,14 @@ def open_images(log: Log, topic: str) -> ImageList:
     return ImageList(topic)
 
 
-def take_images(
-    log: Log, topic: str, wanted: Collection[int], damaged: dict[int, str]
-) -> Iterator[tuple[int, np.ndarray]]:
-    """Number and pixels (height, width, 3) uint8 RGB of some images of a topic.
-
-    Args:
-        log: The log.
-        topic: The topic.
-        wanted: Numbers of the images.
-        damaged: Receives, by its number, why an image cannot be decoded.
-    """
-    decode = decoder(log.types[topic])
-    last = max(wanted, default=-1)
+def take_images(log: Log, topic: str, wanted: Collection[int]) -> Iterator[tuple[int, np.ndarray | InputError]]:
+    """Numbers and pixels (height, width, 3) uint8 RGB of some images of a topic, or why one cannot be decoded."""
+    decode, last = decoder(log.types[topic]), max(wanted, default=-1)
     for number, (sample, part) in enumerate(log.read([topic])):
         if number > last:
             return
         if number in wanted:
             try:
-                image = decode(part.decode(sample))
+                yield number, decode(part.decode(sample))
             except InputError as error:
-                damaged[number] = str(error)
-                continue
-            yield number, image
+                yield number, error
