@@ -27,7 +27,7 @@ from sim.sensors.camera.mount import map_pixels, pad
 from sim.sensors.camera.unwrap import RoundImage
 
 FILES = re.compile(
-    rf"({'|'.join(WRITERS)})/(training|use)/\w+\.({'|'.join(WRITERS)})|mcap/(bag-)?(training|use)\.mcap(/.*)?|onnx/(model\.onnx|meta\.json|tables\.npz|\w+\.py)|export\.json"
+    rf"({'|'.join(WRITERS)})/(training|use)/\w+\.({'|'.join(WRITERS)})|mcap/(training|use)\.mcap(\.deepgps-part/.*)?|onnx/(model\.onnx|meta\.json|tables\.npz|\w+\.py)|export\.json"
 )
 EXPORT = Kind("export", "onnx/model.onnx", lambda: FILES)
 ABOUT_FILE = "export.json"  # The file that says which run is exported

@@ -101,20 +101,23 @@ def try_out(settings: SimSettings, body: Body) -> None:
 
 
 def _find_faults(world: Any) -> Iterator[str]:
-    speed_mps, most_rps = world.settings.drive.speed_mps, np.abs(world.model.actuator_ctrlrange).min()
+    speed_mps, limited = world.settings.drive.speed_mps, world.model.actuator_ctrllimited > 0
+    needed_rps = speed_mps / world.body.wheel_radius_m
+    most_rps = np.abs(world.model.actuator_ctrlrange[limited]).min(initial=np.inf)
     told = f"told to drive {STRAIGHT_M:g} m at drive.speed_mps {speed_mps:g}, it"
-    if world.model.actuator_ctrllimited.any() and most_rps < (needed_rps := speed_mps / world.body.wheel_radius_m):
+    causes = "too little mass or friction on them for the motors, or a caster that drags"
+    if most_rps < needed_rps:
         yield f"{told} needs wheels that turn at {needed_rps:.3g} rad/s, and their ctrlrange ends at {most_rps:g}"
-    slip = "slip (too little mass or friction on them for the motors, or a caster that drags)"
     for way in (1.0, -1.0):
         yield from world.watch(partial(_drive_straight, world, way))
         rolled_m, driven_m = abs(world.wheel_angle().mean()) * world.axle_m, np.hypot(*world.pose()[:2])
         if rolled_m < (1.0 - MAX_SLIP) * STRAIGHT_M:
             yield f"{told} rolled {rolled_m:.2g} m: its motors are too weak (kv, forcerange)"
-        if not abs(rolled_m - driven_m) <= MAX_SLIP * rolled_m:  # NaN is not
-            yield f"{told} drove {driven_m:.3g} m while its wheels rolled {rolled_m:.3g} m: they {slip}"
-        if abs(yaw_deg := np.degrees(world.pose()[2])) > MAX_YAW_DEG:
-            yield f"{told} turned by {yaw_deg:.2g} degrees: its wheels differ (axis, radius), or {slip}"
+        slip, yaw_deg = abs(driven_m / rolled_m - 1.0), np.degrees(world.pose()[2])
+        if not slip <= MAX_SLIP:  # NaN is not
+            yield f"{told} drove {driven_m:.3g} m: its wheels slip by {100.0 * slip:.1f} % ({causes})"
+        if abs(yaw_deg) > MAX_YAW_DEG:
+            yield f"{told} turned by {yaw_deg:.2g} degrees: its wheels differ (axis, radius) or slip ({causes})"
     for way in (1.0, -1.0):
         yield from world.watch(partial(turn, world, way * TURN_RAD))
 
@@ -164,7 +167,7 @@ class _Watched(Chassis):
         if self._lean_deg > MAX_LEAN_DEG and not self._leans:  # how it begins tells why
             way = "leans aside" if abs(roll) > abs(pitch) else "tips forward" if pitch > 0.0 else "rears up"
             does = "brakes" if self._speed < before else "starts" if self._speed > before else "drives"
-            self._leans = f"it {way} when it {does}"
+            self._leans = f"it {way} when it {does}{' backward' * bool((wheel_speed < 0.0).all())}"
         floor, pairs = self.model.geom("floor").id, self.data.contact.geom
         on_floor = pairs[(pairs == floor).any(axis=1)].sum(axis=1) - floor
         self._on_floor |= set(on_floor.tolist())

@@ -110,7 +110,7 @@ def describe_own(robot: RobotSettings) -> Body:
         reach_m = find_reach(model, data, ACROSS, joint) - ACROSS @ data.xanchor[joint]
         if not 0.0 < reach_m.max() * (1.0 - ROUND_TOLERANCE) <= reach_m.min():
             figure = f"its radius is {1e3 * reach_m.min():.3g} to {1e3 * reach_m.max():.3g} mm"
-            cause = 'is its euler in radians without angle="radian", or has it no geom that collides?'
+            cause = 'is its euler in radians without angle="radian", or no geom that collides on its axis?'
             raise _refuse(robot, f"its {name.replace('_', ' ')} is not round about the axis, {figure}: {cause}")
     aside_m, up_m = (float(find_reach(model, data, direction).max()) for direction in (LEVEL, np.eye(3)[2:]))
     return Body(aside_m, max(up_m, float(camera.xpos[2])), float(middle[2]), float(left[1] - right[1]))

@@ -8,12 +8,10 @@ angles of the period before its stamp (turtlebot3_node joint_state.cpp).
 
 import logging
 import re
-import shutil
 import time
 from collections.abc import Sequence
 from contextlib import suppress
 from functools import lru_cache, partial
-from glob import escape
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +19,7 @@ import numpy as np
 import yaml
 
 from sim.errors import InputError
-from sim.files.atomic import PART, check_overwrite, check_space, list_files, only_process, remove_files
+from sim.files.atomic import check_overwrite, check_space, list_files, only_process, remove_files
 from sim.files.checksums import check_lines, write_lines
 from sim.geometry import planar_pose
 from sim.recording.assemble import read_if_whole
@@ -136,8 +134,6 @@ def write_log(
         if mcap.read_key(path) == key:
             log.warning("%s is complete already", path)
         else:
-            for orphan in path.parent.glob(f"*{escape(path.name)}.*{PART}*"):  # of a process that was stopped
-                shutil.rmtree(orphan) if orphan.is_dir() else orphan.unlink()
             topics = _observe(path, work, settings, seed, recording, key, progress, workers)
             write_robot(path, settings)
             mcap.write_mcap(path, topics, key, lambda *done: progress("log write", *done))

@@ -12,7 +12,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.stores import ros2_humble as ros
 
-from sim.files.atomic import write_atomic
+from sim.files.atomic import PART, write_atomic
 
 CAMERA_FRAME, BASE_FRAME, MAP_FRAME = "camera", "base_footprint", "map"
 JOINTS = ("wheel_left_joint", "wheel_right_joint")
@@ -113,8 +113,10 @@ def write_mcap(path: Path, topics: Sequence[Topic], key: str, progress: Callable
     is full, or writing fails.
     """
 
+    bag = path.with_name(f"{path.name}{PART}") / path.stem  # rosbags writes a folder with the file in it
+
     def write(part: Path) -> None:
-        bag = part.with_name(f"bag-{part.name}") / path.stem  # rosbags writes a folder with the file in it
+        shutil.rmtree(bag.parent, ignore_errors=True)  # of a process that was stopped
         try:
             writer = Writer(bag, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin.MCAP)
             writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)

@@ -226,7 +226,7 @@ def test_interrupted_work_is_continued(write, tmp_path, monkeypatch):
             write("cut", name, progress=stop)
     assert not (tmp_path / "cut" / "a.mcap").exists()
     (part,) = (tmp_path / "cut" / "a.mcap.parts").iterdir()  # that of the last key
-    (tmp_path / "cut" / f"bag-a.mcap.1{PART}").mkdir()  # as a killed process leaves it
+    (tmp_path / "cut" / f"a.mcap{PART}").mkdir()  # as a killed process leaves it
     asked, there = [], part.stat().st_size
     monkeypatch.setattr(writing, "check_space", lambda _, needed: asked.append(needed))
     path = write("cut", "other")
