@@ -176,7 +176,8 @@ def open_log(path: Path) -> Iterator[Log]:
         raise InputError(f"{name}: a log is a .bag, .mcap or .db3 file, or a folder{hint}")
     files, notes = ([path], []) if path.is_file() else _list_files(path)
     if not files:
-        raise InputError(f"{name} holds no log: neither .bag, .mcap or .db3 files nor images and wheels.csv")
+        what = "neither .bag, .mcap or .db3 files (unpack .zstd by zstd -d) nor images and wheels.csv"
+        raise InputError(f"{name} holds no log: {what}")
     with ExitStack() as stack:
         parts = [_open_file(file, stack, notes) for file in files]
         faults = {topic: why for part in parts for topic, why in part.faults.items()}
@@ -190,7 +191,7 @@ def _list_files(folder: Path) -> tuple[list[Path], list[str]]:
     files = [one for one in folder.iterdir() if one.is_file() and not one.name.startswith("._")]  # which macOS adds
     stored = [one for one in files if one.suffix in MENDING and one.stat().st_size]
     stored.sort(key=lambda one: [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", one.name)])
-    if not stored and any(one.suffix == ZSTD for one in files):
+    if not stored and any(one.suffix == ZSTD for one in files) and (folder / METADATA).is_file():
         return [folder], []
     if all(one.suffix == ".bag" for one in stored):
         return stored, []

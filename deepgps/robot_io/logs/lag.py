@@ -153,7 +153,7 @@ def judge_pairs(
                 f"{(seen > MIN_TURN_RAD / 2).mean():.0%} turn, and images turn where they do not: one of them counts "
                 f"backward, by the images the {wheel} one (wheels.backward)"
             )
-    if len(odd) >= MIN_PAIRS and not len(seen) and np.abs(beside).max() < MIN_TURN_RAD:
+    if len(odd) >= MIN_PAIRS and np.abs(np.r_[by_wheels, beside]).sum() < MAX_ODD_SHARE * odd.sum():
         raise InputError(
             f"wheels.left, wheels.right: images turn by {degrees:.0f} deg in {len(odd)} of {len(others.turned)} pairs, "
             "and the wheels never differ: do both joints move alike, or has the odometry no orientation?"

@@ -219,30 +219,31 @@ def _unwrap(angle: np.ndarray, ticks_per_rev: int) -> tuple[np.ndarray, np.ndarr
         wrapped += int(fits.any(axis=1).sum())
     if wrapped:
         notes.append(f"a counter wrapped around {wrapped} times")
-    for wheel, one in enumerate(step.T):
-        rows, full = _find_range(one, 2 * np.pi / ticks_per_rev)
-        one[rows] -= full * np.sign(one[rows])
-        if len(rows):
-            wraps[wheel] = full
-            ticks = full * ticks_per_rev / (2 * np.pi)
-            notes.append(f"a counter restarts {len(rows)} times after {ticks:.0f} ticks, which is taken as its range")
+    rows, wheel, full = _find_range(step, 2 * np.pi / ticks_per_rev)
+    if len(rows):
+        step[rows, wheel] -= full * np.sign(step[rows, wheel])
+        wraps[wheel] = full
+        ticks = full * ticks_per_rev / (2 * np.pi)
+        notes.append(f"counters restart {len(rows)} times after {ticks:.0f} ticks, which is taken as their range")
     return angle[:1] + np.concatenate([np.zeros((1, angle.shape[1])), np.cumsum(step, axis=0)]), wraps, notes
 
 
-def _find_range(step: np.ndarray, tick: float) -> tuple[np.ndarray, float]:
-    """Where in steps (n - 1,) [rad] a wheel's counter restarts, if it always does so at one count, and its range [rad].
+def _find_range(step: np.ndarray, tick: float) -> tuple[np.ndarray, np.ndarray, float]:
+    """Where in steps (n - 1, 2) [rad] which counter restarts, if both always do so at one count, and their range [rad].
 
-    There, the counter jumps against the motion, and by the same angle.
+    There, a counter jumps against the motion, always by the same angle; both at once at one time only is a restart.
     """
-    top = _find_usual_top(np.abs(step))
-    rows = np.flatnonzero(np.abs(step) > JUMP_SPEED_RATIO * top + REST_RAD)
-    if len(rows) < MIN_RESTARTS or rows[0] == 0 or rows[-1] == len(step) - 1 or np.diff(rows).min() < 3:
-        return rows[:0], 0.0
-    around = (step[rows - 1] + step[rows + 1]) / 2
-    jump = step[rows] - around
-    if (jump * around >= 0).any() or np.ptp(np.abs(jump)) > REST_RAD + top / 2:
-        return rows[:0], 0.0
-    return rows, float(np.rint(np.abs(jump).mean() / tick) * tick)
+    top = np.array([_find_usual_top(one) for one in np.abs(step).T])
+    jumps = np.abs(step) > JUMP_SPEED_RATIO * top + REST_RAD
+    jumps[[0, -1]] = False
+    rows, wheel = np.nonzero(jumps)
+    if len(np.unique(rows)) < MIN_RESTARTS or (jumps[1:] & jumps[:-1]).any():
+        return rows[:0], wheel[:0], 0.0
+    around = (step[rows - 1, wheel] + step[rows + 1, wheel]) / 2
+    jump = step[rows, wheel] - around
+    if (jump * around >= 0).any() or np.ptp(np.abs(jump)) > REST_RAD + top.max() / 2:
+        return rows[:0], wheel[:0], 0.0
+    return rows, wheel, float(np.rint(np.abs(jump).mean() / tick) * tick)
 
 
 def fill_counts(wheels: Wheels, topic: str) -> Wheels:

@@ -133,7 +133,7 @@ def test_files_that_are_something_else_are_named(tmp_path: Path) -> None:
         check_refused(tmp_path / name, message)
     check_refused(tmp_path / "none.mcap", "there is no such log")
     (tmp_path / "empty").mkdir()
-    check_refused(tmp_path / "empty", r"holds no log: neither \.bag, \.mcap or \.db3 files nor images")
+    check_refused(tmp_path / "empty", r"holds no log: neither \.bag, \.mcap or \.db3 files .* nor images")
     message = r"/log\.mcap cannot be read as a log: /a: jsonschema"
     with pytest.raises(InputError, match=message), explained(tmp_path / "log.mcap", "/a: "):
         raise LookupError("jsonschema")
