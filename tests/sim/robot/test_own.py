@@ -138,7 +138,7 @@ REFUSED_DRIVES = [
     ([('forcerange="-8 8"', 'forcerange="-0.0001 0.0001"')], r"rolled 0\.\d+ m: its motors are too weak"),
     (
         [('pos="-0.05 0 0.12"', 'pos="-0.005 0 0.3"')],
-        r"tips forward when it brakes, by 1\d degrees .*4\.2 kg .* in front",
+        r"tips forward when it brakes, by 1\d degrees: .*4\.2 kg .* in front",
     ),
     ([('friction="1 0.005', 'friction="0.005 0.005')], r"drove 4\.\d+ m: its wheels slip by 1\d\.\d % .*mass"),
     (SMALLER_WHEEL, r"turned by -2\d degrees: its wheels differ \(axis, radius\)"),
