@@ -5,7 +5,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "lines of sim and deepgps": 41_000,
+    "lines of sim and deepgps": 40_940,
     "files of sim and deepgps": 280,
     "lines of tests": 28_230,
     "Python files directly in deepgps": 2,

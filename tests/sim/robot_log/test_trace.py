@@ -1,7 +1,9 @@
-"""A traced drive is the drive of the recording, and what is observed in it agrees with the physics."""
+"""A traced drive is the drive of the recording, and what is observed in it agrees with the physics; two clocks."""
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from sim.geometry import planar_pose
 from sim.recording.chunks import drive_chunk
@@ -11,7 +13,17 @@ from sim.robot.model import TRACK_M, WHEEL_RADIUS_M
 from sim.robot.range_finder import REACH_M
 from sim.robot.world import RoomWorld
 from sim.robot_log.log import JOINT_S, PICTURE_S, RAY_S, find_wheels, list_wheel_topics
-from sim.robot_log.observe import RECORDER, Trace, TracedWorld, make_base_clock, trace_drive
+from sim.robot_log.observe import (
+    DRIFT,
+    EPOCH_NS,
+    OFFSET_S,
+    RECORDER,
+    Clock,
+    Trace,
+    TracedWorld,
+    make_base_clock,
+    trace_drive,
+)
 from sim.settings import DriveSettings, SimSettings
 from tests.helpers.small_room import furnished
 
@@ -63,18 +75,6 @@ def test_wheels_and_truth_tell_the_same_way(drive):
     assert np.median(np.abs(np.diff(turned) - np.diff(np.unwrap(planar_pose(state)[:, 2])))) < 0.002
 
 
-def test_arcs_are_driven_only_where_they_are_set(drive):
-    def count_arcs(world: TracedWorld, found: Trace, _: np.ndarray) -> int:
-        wheels = found.find(BASE, JOINT_S)[1][:, find_wheels(world)]
-        left, right = (np.diff(wheels, axis=0) * WHEEL_RADIUS_M).T
-        driven, turn = (left + right) / 2, (right - left) / TRACK_M
-        bends = (np.abs(turn) > 0.5 * np.abs(driven)) & (np.abs(turn) < 4 * np.abs(driven)) & (np.abs(driven) > 0.005)
-        return int((np.convolve(bends, np.ones(10)) >= 10).sum())  # half a second long
-
-    assert count_arcs(*drive) > 10
-    assert count_arcs(*trace(SimSettings(drive=DriveSettings(samples=300)))) == 0
-
-
 def test_rays_are_the_nearest_of_the_range_finder(drive):
     world, found, _ = drive
     topics = list_wheel_topics(found, world, 0, BASE)
@@ -89,3 +89,20 @@ def test_a_recording_knows_nothing_of_the_way_along_an_arc():
     assert chunk["relocated"] == 0
     assert 3 < kinds.count("relocated") < len(kinds)
     np.testing.assert_array_equal(np.diff(chunk["segment"])[np.diff(chunk["observation"]) == 0], 1)
+
+
+@given(st.builds(Clock, st.floats(-5, 5), st.floats(-1e-3, 1e-3)))
+def test_a_timer_s_period_is_exact_by_its_own_clock(clock):
+    read = clock.read(clock.fire(0.1, 100.0)) - clock.read(np.zeros(1))
+    np.testing.assert_allclose(read, 1e8 * np.arange(1, len(read) + 1), atol=2)
+
+
+def test_the_computers_disagree_within_the_limits_and_the_recorder_reads_the_simulation_s_time():
+    for seed in range(20):
+        clock = make_base_clock(seed)
+        assert OFFSET_S[0] <= abs(clock.offset_s) <= OFFSET_S[1]
+        assert DRIFT[0] <= abs(clock.drift) <= DRIFT[1]
+        assert clock == make_base_clock(seed) != make_base_clock(seed + 1)
+        apart_s = (clock.read(np.array([0.0, 1000.0])) - RECORDER.read(np.array([0.0, 1000.0]))) / 1e9
+        assert apart_s[1] - apart_s[0] == pytest.approx(1000 * clock.drift, abs=1e-6)
+    assert RECORDER.read(np.array([1.5])) == EPOCH_NS + 1_500_000_000
