@@ -8,41 +8,25 @@ import pytest
 import yaml
 
 from deepgps.robot_io.logs.camera import make_camera, read_calibration
-from deepgps.robot_io.logs.robot_config import Intrinsics, load_config
+from deepgps.robot_io.logs.robot_config import Intrinsics
 from sim.errors import InputError
 from sim.sensors.camera.unwrap import COEFFICIENTS, RawCamera
 
 FOUR = (0.0035, 0.0007, -0.002, 0.0002)
 CAMERA = RawCamera("equidistant", (512, 480), (190.5, 191.0), (254.9, 238.9), FOUR)
 MATRIX = [190.5, 0.0, 254.9, 0.0, 191.0, 238.9, 0.0, 0.0, 1.0]
-ROS = {
-    "image_width": 512,
-    "image_height": 480,
-    "distortion_model": "equidistant",
-    "camera_matrix": {"rows": 3, "cols": 3, "data": MATRIX},
-    "distortion_coefficients": {"rows": 1, "cols": 5, "data": [0.0035, "7e-04", *FOUR[2:], 0]},
-}
-KALIBR = {
-    "camera_model": "pinhole",
-    "distortion_coeffs": [*FOUR],
-    "distortion_model": "equidistant",
-    "intrinsics": [190.5, 191.0, 254.9, 238.9],
-    "resolution": [512, 480],
-}
+ROS = {"image_width": 512, "image_height": 480, "distortion_model": "equidistant", "camera_matrix": {"data": MATRIX}}
+ROS |= {"distortion_coefficients": {"rows": 1, "cols": 5, "data": [0.0035, "7e-04", *FOUR[2:], 0]}}
+KALIBR = {"camera_model": "pinhole", "distortion_coeffs": [*FOUR], "distortion_model": "equidistant"}
+KALIBR |= {"intrinsics": [190.5, 191.0, 254.9, 238.9], "resolution": [512, 480]}
 OMNI = {**KALIBR, "camera_model": "omni", "distortion_model": "radtan", "intrinsics": [1.7, *KALIBR["intrinsics"]]}
 OPENCV = f"""%YAML:1.0
 ---
 image_Width: 512
 image_Height: 480
 Camera_Matrix: !!opencv-matrix
-   rows: 3
-   cols: 3
-   dt: d
    data: {MATRIX}
 Distortion_Coefficients: !!opencv-matrix
-   rows: 4
-   cols: 1
-   dt: d
    data: {[*FOUR]}
 fisheye_model: 1
 """
@@ -98,9 +82,7 @@ def test_other_files_are_named_and_what_is_wrong_is_said_in_one_line(tmp_path: P
         ({"cam0": {**KALIBR, "camera_model": "eucm"}}, r"camera model \('eucm', 'equidistant'\) of Kalibr: must be"),
         ({"cam0": {**KALIBR, "intrinsics": [1.0]}}, "intrinsics of Kalibr's pinhole must be 4 numbers"),
         ({**ROS, "distortion_model": "eucm"}, "distortion model 'eucm': must be equidistant"),
-        ({**ROS, "image_width": float("inf")}, "width inf: must be"),
         ({**ROS, "image_height": 80.5}, r"height 80\.5: must be"),
-        ({**ROS, "image_height": [80]}, r"height \[80\]: must be"),
         ({**ROS, "camera_matrix": {"data": MATRIX[:8]}}, "the camera matrix must be a list of 9 numbers"),
         ({**ROS, "camera_matrix": {"data": [True] * 9}}, "fx True: must be"),
         ({**ROS, "distortion_coefficients": {"data": {"a": 1}}}, "the distortion coefficients a list"),
@@ -113,9 +95,3 @@ def test_other_files_are_named_and_what_is_wrong_is_said_in_one_line(tmp_path: P
         with pytest.raises(InputError, match=message) as caught:
             read(tmp_path, values)
         assert "\n" not in str(caught.value) and str(caught.value).startswith(f"{tmp_path / 'camera.yaml'}: ")
-
-
-def test_a_calibration_file_is_found_beside_the_robot(tmp_path: Path) -> None:
-    robot = {"wheels": {"radius_m": 0.033, "track_m": 0.16}, "camera": {"topic": "/camera", "file": "ost.yaml"}}
-    (tmp_path / "robot.yaml").write_text(yaml.safe_dump(robot))
-    assert load_config(tmp_path / "robot.yaml").camera.file == tmp_path / "ost.yaml"

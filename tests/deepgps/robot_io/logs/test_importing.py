@@ -13,7 +13,6 @@ import pytest
 from deepgps.diagnosis.diagnosis import can_diagnose, diagnose
 from deepgps.robot_io.logs.containers import open_log
 from deepgps.robot_io.logs.importing import import_log
-from deepgps.robot_io.logs.messages import WheelLog, open_wheels
 from deepgps.robot_io.logs.robot_config import RobotConfig
 from deepgps.terminal.progress import ignore
 from sim.errors import InputError
@@ -120,32 +119,29 @@ def test_a_plain_folder_is_a_log_and_what_is_odd_in_it_is_passed_over(tmp_path: 
     assert any("poses.csv: 3 messages are left out" in note for note in about["notes"])
 
 
-def test_a_plain_file_that_cannot_be_read_is_named_with_its_line(tmp_path: Path) -> None:
-    log = write_plain(tmp_path / "plain")
-    sound = (log / "wheels.csv").read_bytes()
-    for data, message in (
-        (b"time_s,left_rad,right_rad\n0.0,0.0,one\n0.1,0.0,0.0\n", r"wheels\.csv: line 2 must be time_s,left_rad"),
-        (sound + b"\xff" * 9000, r"wheels\.csv must be text in UTF-8: after line \d+"),
-        (sound + b"1" * 140_000, r"wheels\.csv: line \d+: field larger"),
-    ):
-        (log / "wheels.csv").write_bytes(data)
-        with pytest.raises(InputError, match=message):
-            bring_in(log, tmp_path / "new" / "folder", PLAIN_CONFIG)
-        assert not (tmp_path / "new").exists(), "a refused import leaves nothing"
-
-
 def times_of(folder: Path, names: Sequence[str], listed: Sequence[str] = (), wheels: str = "0.1") -> list[int]:
     """Stamps [ns] in a folder with images of these names, perhaps listed with times, and a message of the wheels."""
     shutil.rmtree(folder, ignore_errors=True)
     (folder / "images").mkdir(parents=True)
     for name in names:
         (folder / "images" / f"{name}.png").touch()
-    (folder / "wheels.csv").write_text(f"time_s,left_rad,right_rad\n{wheels},0,0\n")
+    text = f"time_s,left_rad,right_rad\n{wheels},0,0\n"
+    (folder / "wheels.csv").write_text(text, encoding="utf-8", errors="surrogateescape")
     if listed:
         rows = [f"{time},{name}.png" for time, name in zip(listed, names, strict=True)]
         (folder / "images.csv").write_text("\n".join(["time_s,file", *rows]))
     with open_log(folder) as log:
         return [sample.stamp_ns for sample, _ in log.read(list(log.types))]
+
+
+def test_a_plain_file_that_cannot_be_read_is_named_with_its_line(tmp_path: Path) -> None:
+    for rows, message in (
+        ("0.0,0.0,one\n0.1", r"wheels\.csv: line 2 must be time_s,left_rad"),
+        ("0.1,0,0\n\udcff" + "0" * 9000, r"wheels\.csv must be text in UTF-8: after line \d+"),
+        ("0.1,0,0\n" + "1" * 140_000, r"wheels\.csv: line \d+: field larger"),
+    ):
+        with pytest.raises(InputError, match=message):
+            times_of(tmp_path / "log", ["1.5"], wheels=rows)
 
 
 def test_images_are_named_by_times_and_not_by_numbers_or_in_another_unit(tmp_path: Path) -> None:
@@ -166,24 +162,6 @@ def test_images_are_named_by_times_and_not_by_numbers_or_in_another_unit(tmp_pat
                 times_of(tmp_path / "log", [late])
 
 
-def read_wheels(log: Path, **wheels: Any) -> tuple[np.ndarray, np.ndarray, WheelLog]:
-    """Times of logging (n,) [ns] and angles (n, 2) [rad] of the wheels in a log, and what was read."""
-    config = configure(wheels=wheels).wheels
-    with open_log(log) as opened:
-        read = open_wheels(opened, config)
-        opened.feed({JOINTS: read.take}, ignore)
-    read.check()
-    return np.array(read.log_ns), read.angle, read
-
-
-def swap(_: int, note: Note) -> Note:
-    return set_fields(note, name=note.fields["name"][::-1], position=note.fields["position"][::-1].copy())
-
-
-def prefix(_: int, note: Note) -> Note:
-    return set_fields(note, name=[f"tb3_0/{name}" for name in note.fields["name"]])
-
-
 def lose_some(number: int, note: Note) -> Note:
     """Some messages hold one wheel, none, or a name too many."""
     name, position = note.fields["name"], note.fields["position"]
@@ -193,11 +171,6 @@ def lose_some(number: int, note: Note) -> Note:
         if number % 11 != 5
         else set_fields(note, name=["arm"], position=[0.3])
     )
-
-
-def scale(left: float, right: float) -> Change:
-    """The wheels' angles multiplied by a factor for each."""
-    return on(JOINTS, lambda _, note: set_fields(note, position=note.fields["position"] * np.array([left, right])))
 
 
 def on(topic: str, fault: Callable[[int, Note], Note | None]) -> Change:
@@ -252,22 +225,6 @@ def freeze(notes: list[Note]) -> list[Note]:
     return change(notes, CAMERA, lambda number, note: replace(note, fields=images[min(number, 150)]))
 
 
-def test_joints_are_found_in_any_order_and_with_a_prefix_and_may_be_missing(notes: list[Note], tmp_path: Path) -> None:
-    some = [one for one in notes if one.topic == JOINTS][:100]
-    log_ns, angle, _ = read_wheels(write_log(tmp_path / "log", some, "mcap_lz4"))
-    for name, how in (("swap", swap), ("prefix", prefix)):
-        _, found, _ = read_wheels(write_log(tmp_path / name, change(some, JOINTS, how), "mcap_lz4"))
-        np.testing.assert_array_equal(found, angle)
-    for backward, sign in (("left", (-1, 1)), ("right", (1, -1)), ("both", (-1, -1))):
-        _, found, _ = read_wheels(write_log(tmp_path / backward, scale(*sign)(some), "mcap_lz4"), backward=backward)
-        np.testing.assert_array_equal(found, angle)
-    found_ns, found, read = read_wheels(write_log(tmp_path / "lost", change(some, JOINTS, lose_some), "mcap_lz4"))
-    wanted = angle[np.isin(log_ns, found_ns)]
-    np.testing.assert_array_equal(found[np.isfinite(found)], wanted[np.isfinite(found)])
-    assert read.without == len(some) - len(found) > 10 and np.isnan(found).sum() > 5
-    assert read.list_notes() == [f"{JOINTS}: {read.without} messages hold neither wheel"]
-
-
 def test_habits_of_real_robots_change_nothing(notes: list[Note], tmp_path: Path) -> None:
     """A first image of another size, a calibration without numbers, damaged images, joints that are missing."""
     odd = on(JOINTS, lose_some)(on(CAMERA, begin_small)(damage(20, 120, 220, 320)(add_early_info(notes))))
@@ -276,17 +233,13 @@ def test_habits_of_real_robots_change_nothing(notes: list[Note], tmp_path: Path)
     assert abs(about["lag_s"] - 0.05) <= 0.008 and "; damaged images: " in about["notes"][-1]
 
 
-def keep(notes: list[Note]) -> list[Note]:
-    return notes
-
-
 NOTED_CHANGES: dict[str, tuple[Change, dict[str, Any], str]] = {
     "wheels lost": (lose(JOINTS, 1.4, 3.18), {}, r"/joint_states at 1\..* no message for 1\.9 s while the robot moved"),
     "counter restarts": (restart, {}, r"/joint_states at 13\.9.* the counter restarted"),
     "camera fails": (lose(CAMERA, 12.0, 18.0), {}, r"images cover 27 of 33 s of the drive, .* 6 s from 1[12]\.\d s on"),
     "frozen": (freeze, {}, "images do not turn.*is the camera frozen or covered there"),
     "view": (
-        keep,
+        lambda notes: notes,
         {"camera": {"info": None, "circle_px": 240.0, "field_of_view_deg": 185.0}},
         "images reach 15 deg from the optical axis all around it, and polar images 92, .* black in part",
     ),
@@ -358,7 +311,6 @@ REFUSED_LOGS: dict[str, tuple[Change, str]] = {
     "no info": (on(CAMERA_INFO, none), "camera.info /camera/camera_info: .* has no such topic"),
     "no camera": (on(CAMERA, none), "camera.topic /camera/image_raw: .* has no such topic"),
     "no pose": (on(TRUTH, none), "pose.topic /mocap/pose: .* has no such topic"),
-    "joints": (on(JOINTS, info(name=["a", "b"])), "/joint_states has no position of a joint 'wheel_left_joint'"),
     "few": (on(JOINTS, lambda n, note: note if n < 5 else None), "/joint_states has 5 messages with both wheels"),
 }
 """Logs that are refused before a picture is unwrapped: the change, and what is said."""

@@ -179,3 +179,5 @@ def test_a_wrong_robot_is_refused_in_one_line(tmp_path: Path) -> None:
         with pytest.raises(InputError, match=message) as caught:
             load_config(path)
         assert "\n" not in str(caught.value)
+    path.write_text(yaml.safe_dump({**base, "camera": {"topic": "/c", "file": "ost.yaml"}}))
+    assert load_config(path).camera.file == tmp_path / "ost.yaml", "which is beside this one"

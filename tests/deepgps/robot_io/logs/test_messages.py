@@ -1,9 +1,10 @@
-"""Poses of logs: quaternions of any length give the yaw, and those of none give no pose."""
+"""Messages: joints by their names, quaternions of any length give the yaw, and those of none give no pose."""
 
 import math
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -32,7 +33,7 @@ def test_a_quaternion_of_any_length_gives_the_yaw(yaw: float, lean: float, lengt
 
 
 class Given:
-    """A part of a log whose messages are given."""
+    """A part of a log whose samples are messages as they are."""
 
     def __init__(self) -> None:
         self.types, self.counts = dict[str, str](), dict[str, int]()
@@ -41,9 +42,31 @@ class Given:
         return iter(())
 
     def decode(self, sample: Sample) -> Any:
-        place, turned = SimpleNamespace(x=1.0, y=2.0, z=0.0), turn(0.3, 0.0, sample.data)
-        pose = SimpleNamespace(position=place, orientation=turned)
-        return SimpleNamespace(pose=SimpleNamespace(pose=pose))
+        return sample.data
+
+
+def read_joints(*messages: tuple[list[str], list[float]], **wheels: Any) -> WheelLog:
+    read = WheelLog(WheelConfig.model_validate({**CONFIG["wheels"], "left": "l", "right": "r", **wheels}), False)
+    for number, (names, angles) in enumerate(messages):
+        read.take(Sample("/j", number, number, SimpleNamespace(name=names, position=angles)), Given())
+    read.check()
+    return read
+
+
+def test_joints_are_found_in_any_order_and_with_a_prefix_and_may_be_missing() -> None:
+    known = (["l", "r"], [1.0, 2.0]), (["r", "l"], [2.0, 1.0]), (["arm", "b/l", "b/r"], [9.0, 1.0, 2.0])
+    read = read_joints(*known, (["l", "r"], [1.0]), (["arm"], [3.0]), (["l", "r"], []))
+    np.testing.assert_array_equal(read.angle, [[1.0, 2.0]] * 3 + [[1.0, np.nan]])
+    assert read.without == 2 and read.list_notes() == ["/joint_states: 2 messages hold neither wheel"]
+    for backward, signs in (("left", (-1, 1)), ("right", (1, -1)), ("both", (-1, -1))):
+        np.testing.assert_array_equal(read_joints(*known, backward=backward).angle, [[1.0, 2.0] * np.array(signs)] * 3)
+    for message, said in (
+        ((["l", "r"], []), "/joint_states: positions are empty in all messages, and the wheels' angles are needed"),
+        ((["l", "x"], [1.0, 2.0]), "/joint_states has no position of a joint 'r'; its joints are l, x"),
+        ((["a/l", "b/l", "r"], [1.0, 2.0, 3.0]), "l: several joints have this name, a/l, b/l; give the complete name"),
+    ):
+        with pytest.raises(InputError, match=said):
+            read_joints(message)
 
 
 def test_poses_and_odometries_without_an_orientation_are_left_out_or_refused() -> None:
@@ -51,8 +74,10 @@ def test_poses_and_odometries_without_an_orientation_are_left_out_or_refused() -
     for every in (3, 1):
         poses, wheels = PoseLog("/pose"), WheelLog(config, True)
         for number in range(10):
+            turned = turn(0.3, 0.0, 0.0 if number % every == 0 else 2.0)
+            pose = SimpleNamespace(position=SimpleNamespace(x=1.0, y=2.0), orientation=turned)
             for one in (poses, wheels):
-                one.take(Sample("/pose", number, number, 0.0 if number % every == 0 else 2.0), Given())
+                one.take(Sample("/p", number, number, SimpleNamespace(pose=SimpleNamespace(pose=pose))), Given())
         assert poses.without == wheels.without == math.ceil(10 / every)
         assert len(poses.pose) == len(wheels.angle) == 10 - poses.without
     with pytest.raises(InputError, match=r"pose.topic /pose holds no pose: in 10 messages .* quaternion is 0"):
