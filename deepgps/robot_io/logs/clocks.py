@@ -133,8 +133,9 @@ class Times:
         """
         log_s = self.log_s
         if not self.is_stamped:
-            together = (np.diff(np.sort(log_s)) <= GROUP_SHARE * self.period_s).mean() > 0.5
-            return log_s, f"{self.topic}: messages without stamps were logged in bursts" if together else None
+            together = np.count_nonzero(np.diff(np.sort(log_s)) <= GROUP_SHARE * self.period_s)
+            bursts = 2 * together > len(log_s)
+            return log_s, f"{self.topic}: messages without stamps were logged in bursts" if bursts else None
         rows, _, wrong = self.groups
         least = minimum_filter(self.late_s[rows], TREND_MESSAGES)
         found = np.where(wrong, np.nan, self.stamp_s + np.interp(log_s, log_s[rows], least))
