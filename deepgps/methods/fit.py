@@ -16,8 +16,9 @@ from deepgps.data.segments import fill_stretches
 from deepgps.initial_map.stored_map import read_map
 from deepgps.learning.trainer import describe_device, use_threads
 from deepgps.learning.training_data import prepare
+from deepgps.methods.appearance import learn
 from deepgps.methods.deepgps import remove_leftovers
-from deepgps.methods.registration import find_headings, learn
+from deepgps.methods.registration import find_headings
 from deepgps.positioner.positioner import FeaturePositioner, Fitted, Positioner
 from deepgps.positioner.stored_positioner import is_finished, load_positioner, save_positioner
 from deepgps.positioner.without_features import ArrayPositioner

@@ -28,11 +28,11 @@ PIXEL_MARGIN, CLEAR_MARGIN = 1.4, 1.0
 
 The cost is minus twice the logarithm of the likelihood, over the number of independent components.
 """
-MAX_INFLATION = 4.0
+MAX_INFLATION = 16.0
 """Largest factor of the covariance of an image that differs more than usual from those around it.
 
-The factor is the residual over its median: where surfaces line up with the pixels, or things have moved, errors of all
-features have one cause, and do not average out.
+The factor is the square of the residual over its median: where surfaces line up with the pixels, or things have moved,
+errors of all features have one cause, and do not average out.
 """
 MAX_DIFFERENCE_M = 0.05  # Distance between two answers, as of features and pixels, up to which they are accepted [m]
 LEVELS = (0.68, 0.95)  # Probabilities with which the radii hold the true position
@@ -249,7 +249,7 @@ def fuse(
 
 def inflate(residual: np.ndarray) -> np.ndarray:
     """Factors of the covariances of images by their squared residuals of features, over the usual one."""
-    return np.minimum(residual, MAX_INFLATION)
+    return np.minimum(residual**2, MAX_INFLATION)
 
 
 def find_normal_radius(probability: float | np.ndarray) -> np.ndarray:

@@ -12,7 +12,8 @@ from deepgps.data.segments import read_segments
 from deepgps.learning.batches import Inputs
 from deepgps.learning.trainer import make_generator
 from deepgps.learning.training_data import TrainingData
-from deepgps.methods.registration import find_headings, learn
+from deepgps.methods.appearance import learn
+from deepgps.methods.registration import find_headings
 from deepgps.positioner.positioner import NeighbourPositioner
 from sim.recording.format import Recording
 from sim.recording.turns import Turns

@@ -6,6 +6,7 @@ an inlier only within a gate: a few standard deviations of the distance between 
 map itself, so that a place that only looks alike is never joined with one far away.
 """
 
+from copy import deepcopy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -26,6 +27,7 @@ from deepgps.initial_map.compass.closures import (
     limit_gate,
     link,
 )
+from deepgps.initial_map.compass.factors import Factors, add_factors, even_out, rescale_factors
 from deepgps.initial_map.compass.least_squares import (
     SAMPLES,
     Equations,
@@ -51,6 +53,7 @@ CUT_STD_RAD, CUT_STD_M = 0.15, 0.5
 RECUTS = 3  # Times that turns which loop closures contradict are cut
 UNDERSTATED_RATIO = 1.5  # Where lengths err so many times more than expected, the map is made again with shorter bars
 MAX_TURN = 0.5
+FACTOR_ROUNDS = 6  # Rounds of a map with the registrations of its images
 MAX_STAGES = 8  # Of the map's making, kept: the first rounds move it most, and most of these are kept
 
 
@@ -62,6 +65,49 @@ class Stage:
     heading: np.ndarray  # Heading of the robot at each (N,) [rad]
     inliers: np.ndarray  # Which loop closures are inliers (n,) bool
     number: int  # Rounds before it; 0: as laid out along the compass headings
+
+
+@dataclass
+class Layout:
+    """The bars of a map, which a fit moves, and what is known of how they lie."""
+
+    bars: Bars
+    laid_out: Bars
+    joints: Joints
+    links: Links
+    cut: np.ndarray  # Joints at which the drive is cut into parts (B - 1,) bool
+    curvature: float  # Of what the robot drives for straight, before the map [1 / m]
+
+    def relate(self, fit: "Fit") -> Equations:
+        """The equations of turns, lengths and loop closures."""
+        equations = Equations()
+        add_odometry(equations, self.bars, self.joints, fit.part, self.cut, self.curvature, fit.scale)
+        add_links(equations, self.bars, self.links, fit.inliers)
+        return equations
+
+
+@dataclass
+class Fit:
+    """A fit of the bars."""
+
+    part: np.ndarray  # Part of the drive of each bar (B,)
+    samples: np.ndarray  # Samples of the unknowns' errors (count, SAMPLES)
+    inliers: Inliers
+    scale: Scale
+    # Of each round, positions (r, 2) and headings (r,) of the readings, and the inliers (m,)
+    rounds: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=list)
+
+    def move(self, bars: Bars, solved: tuple[np.ndarray, np.ndarray]) -> None:
+        """Move the bars by a step of Gauss-Newton."""
+        step, self.samples = solved
+        angles = step[:-SHARED_UNKNOWNS].reshape(-1, 4)[:, 2:]
+        angles[...] = angles.clip(-MAX_TURN, MAX_TURN)
+        bars.move(step)
+
+    def keep(self, bars: Bars) -> None:
+        """Keep the round for the history of the map's making."""
+        _, heading, _, camera = bars.locate(slice(None))
+        self.rounds.append((camera.astype(np.float32), heading.astype(np.float32), self.inliers.mask))
 
 
 @dataclass(frozen=True)
@@ -84,6 +130,8 @@ class CompassMap:
     scale: Scale  # How many times larger the errors of turns and lengths were than expected
     closures: Closures  # The loop closures that were tried
     stages: tuple[Stage, ...]  # How the map was made, its last stage last
+    layout: Layout
+    fit: Fit
 
 
 def find_compass_map(
@@ -99,13 +147,29 @@ def find_compass_map(
     Segments are all of them, in the order driven, with expected errors; ``rng`` draws the samples of the map's errors,
     and ``curvature`` [1 / m] is that of what the robot drives for straight, as far as it is known before the map.
     """
-    bars, links, fit = _find(segments, turns, closures, observations, rng, curvature)
+    layout, fit = _find(segments, turns, closures, observations, rng, curvature)
     if fit.scale.length > UNDERSTATED_RATIO:  # bars are too long for readings that err so much more
         assert segments.variance is not None
         variance, rounding_m2 = (part * fit.scale.length**2 for part in (segments.variance, segments.rounding_m2))
         segments = replace(segments, variance=variance, rounding_m2=rounding_m2)
-        bars, links, fit = _find(segments, turns, closures, observations, rng, curvature)
-    return _describe(bars, links, fit, closures, observations, rng)
+        layout, fit = _find(segments, turns, closures, observations, rng, curvature)
+    return _describe(layout, fit, closures, observations, rng)
+
+
+def refine(found: CompassMap, factors: Factors, rng: np.random.Generator) -> CompassMap:
+    """The map moved so that its images are also where they are registered on one another."""
+    layout, fit = deepcopy(found.layout), deepcopy(found.fit)
+    bars, scale = layout.bars, 1.0
+    read = factors.find_readings(bars, len(found.places))
+    for _ in range(FACTOR_ROUNDS):
+        equations = layout.relate(fit)
+        add_factors(equations, bars, read, scale)
+        fit.move(bars, equations.solve(*hold_length(bars, layout.links, fit.inliers), rng))
+        fit.scale = rescale(bars, layout.joints, fit.part, layout.cut, fit.samples, fit.scale)
+        scale = rescale_factors(bars, read, fit.samples, scale)
+    even_out(bars, layout.laid_out, read, scale, fit.scale.length)
+    fit.keep(bars)
+    return _describe(layout, fit, found.closures, len(found.places), rng)
 
 
 def _find(
@@ -115,48 +179,32 @@ def _find(
     observations: int,
     rng: np.random.Generator,
     curvature: float,
-) -> tuple[Bars, Links, "_Fit"]:
+) -> tuple[Layout, Fit]:
     bars = lay_out(segments, turns, curvature)
     joints, links = make_joints(bars, turns), link(bars, closures, observations)
     cut = (joints.angle_std > CUT_STD_RAD) | (joints.jump_std > CUT_STD_M)
-    fit = _fit(bars, joints, links, cut, curvature, rng)
+    layout = Layout(bars, replace(bars), joints, links, cut, curvature)
+    fit = _fit(layout, rng)
     for _ in range(RECUTS):
-        wrong = find_contradicted(bars, fit.part, links, fit.inliers) & ~cut
+        wrong = find_contradicted(bars, fit.part, links, fit.inliers) & ~layout.cut
         if not wrong.any():
             break
-        cut, before = cut | wrong, fit.rounds
-        fit = _fit(bars, joints, links, cut, curvature, rng)
+        layout.cut, before = layout.cut | wrong, fit.rounds
+        fit = _fit(layout, rng)
         fit.rounds[:0] = before
-    return bars, links, fit
+    return layout, fit
 
 
-@dataclass
-class _Fit:
-    """A fit of the bars: their parts (B,), samples of the unknowns' errors (count, SAMPLES), the inliers; and of
-    each round, positions (r, 2) and headings (r,) of the readings, and the inliers (m,).
-    """
-
-    part: np.ndarray
-    samples: np.ndarray
-    inliers: Inliers
-    scale: Scale
-    rounds: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=list)
-
-    def keep(self, bars: Bars) -> None:
-        """Keep the round for the history of the map's making."""
-        _, heading, _, camera = bars.locate(slice(None))
-        self.rounds.append((camera.astype(np.float32), heading.astype(np.float32), self.inliers.mask))
-
-
-def _fit(bars: Bars, joints: Joints, links: Links, cut: np.ndarray, curvature: float, rng: np.random.Generator) -> _Fit:
-    """Refine the parts between the joints ``cut`` (J,), and join them, until no more stay joined when refined."""
+def _fit(layout: Layout, rng: np.random.Generator) -> Fit:
+    """Refine the parts between the joints that are cut, and join them, until no more stay joined when refined."""
+    bars, links, cut = layout.bars, layout.links, layout.cut
     none = np.zeros(len(links.one), bool)
     inliers = Inliers(none, np.ones(len(none)), np.ones(len(none)), np.inf)
-    fit = _Fit(np.append(0, np.cumsum(cut)), np.empty(0), inliers, Scale())
+    fit = Fit(np.append(0, np.cumsum(cut)), np.empty(0), inliers, Scale())
     fit.keep(bars)
     fewest, attempts = len(cut) + 2, 0
     while True:
-        _refine(fit, bars, joints, links, cut, curvature, rng)
+        _settle(fit, layout, rng)
         parts = len(np.unique(fit.part))
         attempts = 0 if parts < fewest else attempts + 1
         if attempts == ATTEMPTS:
@@ -169,29 +217,16 @@ def _fit(bars: Bars, joints: Joints, links: Links, cut: np.ndarray, curvature: f
         fit.inliers = fit.inliers._replace(mask=fit.inliers.mask | joined)
 
 
-def _refine(
-    fit: _Fit,
-    bars: Bars,
-    joints: Joints,
-    links: Links,
-    cut: np.ndarray,
-    curvature: float,
-    rng: np.random.Generator,
-) -> None:
+def _settle(fit: Fit, layout: Layout, rng: np.random.Generator) -> None:
     """Move the bars by Gauss-Newton with robust weights until they rest, at first with narrow gates alone."""
+    bars, links = layout.bars, layout.links
     narrow, inliers, left = True, [0], MAX_ROUNDS
     while left > 0:
-        fit.part = find_parts(bars, links, cut, fit.inliers)
-        equations = Equations()
-        add_odometry(equations, bars, joints, fit.part, cut, curvature, fit.scale)
-        add_links(equations, bars, links, fit.inliers)
-        move, fit.samples = equations.solve(*hold_length(bars, links, fit.inliers), rng)
-        angles = move[:-SHARED_UNKNOWNS].reshape(-1, 4)[:, 2:]
-        angles[...] = angles.clip(-MAX_TURN, MAX_TURN)
+        fit.part = find_parts(bars, links, layout.cut, fit.inliers)
         before = bars.camera
-        bars.move(move)
+        fit.move(bars, layout.relate(fit).solve(*hold_length(bars, links, fit.inliers), rng))
         fit.inliers = find_inliers(bars, carry(bars, fit.samples), fit.part, links, narrow)
-        fit.scale = rescale(bars, joints, fit.part, cut, fit.samples, fit.scale)
+        fit.scale = rescale(bars, layout.joints, fit.part, layout.cut, fit.samples, fit.scale)
         fit.keep(bars)
         inliers.append(int(fit.inliers.mask.sum()))
         grows = inliers[-1] > (1.0 + MIN_GROWTH) * inliers[max(-1 - GROWTH_ROUNDS, -len(inliers))]
@@ -205,9 +240,8 @@ def _refine(
         left = MAX_ROUNDS if grows else left - 1
 
 
-def _describe(
-    bars: Bars, links: Links, fit: _Fit, closures: Closures, observations: int, rng: np.random.Generator
-) -> CompassMap:
+def _describe(layout: Layout, fit: Fit, closures: Closures, observations: int, rng: np.random.Generator) -> CompassMap:
+    bars, links = layout.bars, layout.links
     part, inliers, samples = fit.part, fit.inliers, fit.samples
     main = part[bars.row] == np.bincount(part[bars.row]).argmax()
     places, heading = np.full((observations, 2), np.nan), np.full(observations, np.nan)
@@ -239,11 +273,13 @@ def _describe(
         fit.scale,
         closures,
         stages,
+        layout,
+        fit,
     )
 
 
 def _thin_out(
-    bars: Bars, links: Links, fit: _Fit, main: np.ndarray, closures: int, observations: int
+    bars: Bars, links: Links, fit: Fit, main: np.ndarray, closures: int, observations: int
 ) -> tuple[Stage, ...]:
     """At most ``MAX_STAGES`` of a fit's rounds, with the first and the last; readings of the ``main`` part first."""
     rounds = len(fit.rounds)

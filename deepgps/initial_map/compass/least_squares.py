@@ -52,6 +52,11 @@ class Equations:
         self._residual.append(residual * weight)
         self._count += count
 
+    def assemble(self, unknowns: int) -> tuple[csc_array, np.ndarray]:
+        """Weighted derivatives (n, unknowns) and residuals (n,)."""
+        entries = np.concatenate(self._values), (np.concatenate(self._rows), np.concatenate(self._columns))
+        return csc_array(entries, shape=(self._count, unknowns)), np.concatenate(self._residual)
+
     def solve(self, held: np.ndarray, excess: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         """Gauss-Newton step (n,) and samples of the errors (n, SAMPLES).
 
@@ -59,12 +64,11 @@ class Equations:
         ``excess`` now.
         """
         unknowns = len(held)
-        entries = np.concatenate(self._values), (np.concatenate(self._rows), np.concatenate(self._columns))
-        jacobian = csc_array(entries, shape=(self._count, unknowns))
+        jacobian, residual = self.assemble(unknowns)
         normal = (jacobian.T @ jacobian).tocsc() + DAMPING * eye_array(unknowns, format="csc")
         solver = factorise(normal.tocsc())
         drawn = rng.standard_normal((self._count, SAMPLES))
-        step, samples = -solver.solve(jacobian.T @ np.concatenate(self._residual)), solver.solve(jacobian.T @ drawn)
+        step, samples = -solver.solve(jacobian.T @ residual), solver.solve(jacobian.T @ drawn)
         if not held.any():
             return step, samples
         along = solver.solve(held)
@@ -160,12 +164,13 @@ def rescale(bars: Bars, joints: Joints, part: np.ndarray, cut: np.ndarray, sampl
     before, after = joints.before[used], joints.after[used]
     residual = wrap(bars.locate(after).heading - bars.locate(before).heading - joints.angle[used])
     left = _carry_headings(bars, samples, after) - _carry_headings(bars, samples, before)
-    turn_scale = _rescale(residual, left, joints.angle_std[used], scale.turn)
+    turn_scale = rescale_by(residual, left, joints.angle_std[used], scale.turn)
     moved = samples[:-SHARED_UNKNOWNS].reshape(*bars.unknown.shape, -1)[:, 3]
-    return Scale(turn_scale, _rescale(bars.unknown[:, 3], moved, bars.scale_std, scale.length))
+    return Scale(turn_scale, rescale_by(bars.unknown[:, 3], moved, bars.scale_std, scale.length))
 
 
-def _rescale(residual: np.ndarray, left: np.ndarray, std: np.ndarray, scale: float) -> float:
+def rescale_by(residual: np.ndarray, left: np.ndarray, std: np.ndarray, scale: float) -> float:
+    """Factor of standard deviations (n,), before ``scale``, by residuals (n,) and samples of what is left (n, k)."""
     variance = (scale * std) ** 2
     redundant = (1.0 - (left**2).mean(axis=1) / variance).clip(0.0, 1.0)
     squared = np.minimum(residual**2 / variance, MAX_SQUARED_RESIDUAL)

@@ -15,8 +15,9 @@ from deepgps.initial_map.compass.compass_map import CompassMap
 from deepgps.learning.batches import Inputs
 from deepgps.learning.trainer import make_generator
 from deepgps.learning.training_data import TrainingData
+from deepgps.methods.appearance import learn
 from deepgps.methods.compass import find_mount
-from deepgps.methods.registration import find_headings, learn
+from deepgps.methods.registration import find_headings
 from deepgps.positioner.appearance import AppearanceMap
 from deepgps.positioner.pose import find_poses
 from deepgps.positioner.positioner import NetworkPositioner

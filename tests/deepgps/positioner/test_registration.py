@@ -10,8 +10,9 @@ from threadpoolctl import threadpool_limits
 from deepgps.config.learning import FeatureSettings, LearnSettings
 from deepgps.data.segments import find_owners
 from deepgps.learning.training_data import TrainingData, prepare
-from deepgps.methods import registration
-from deepgps.methods.registration import find_headings, learn
+from deepgps.methods import appearance
+from deepgps.methods.appearance import learn
+from deepgps.methods.registration import find_headings
 from deepgps.positioner.kriging import Kernel, krige
 from deepgps.positioner.pixels import find_yaw, grey, turn
 from deepgps.positioner.pose import find_poses
@@ -281,7 +282,7 @@ def test_segments_seen_with_wrong_headings_are_turned_back(
     owner = find_owners(data.segments, len(pose))[0].numpy()
     turned = pose[:, 2] + np.radians(np.random.default_rng(0).uniform(-20.0, 20.0, owner.max() + 1))[owner]
     refined = place(data, pose[:, :2], turned).register(images)
-    monkeypatch.setattr(registration, "HEADING_ROUNDS", 0)
+    monkeypatch.setattr(appearance, "HEADING_ROUNDS", 0)
     found = refined, place(data, pose[:, :2], turned).register(images)
     off, untouched = (np.median(np.abs(wrap(one.yaw - there[:, 2]))) for one in found)
     assert off < 0.8 * untouched

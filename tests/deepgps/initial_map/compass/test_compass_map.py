@@ -5,13 +5,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 import torch
+from scipy.spatial import KDTree
 
 from deepgps.data.segments import Segments
 from deepgps.data.turns import CompassTurns
 from deepgps.initial_map.compass.bars import Bars, lay_out
 from deepgps.initial_map.compass.closures import Closures
-from deepgps.initial_map.compass.compass_map import CompassMap, find_compass_map
-from deepgps.initial_map.compass.least_squares import CURVATURE_STD
+from deepgps.initial_map.compass.compass_map import CompassMap, find_compass_map, refine
+from deepgps.initial_map.compass.factors import Factors, add_factors
+from deepgps.initial_map.compass.least_squares import CURVATURE_STD, Equations
 from sim.alignment import fit_alignment
 
 SPACING_M = 0.08
@@ -189,6 +191,42 @@ def test_without_loop_closures_errors_are_as_large_as_their_standard_deviations(
         found = find_map(made, NONE)
         ratios.append(error(found.places, made.place) ** 2 / 2.0 / (found.std**2).mean())
     assert 0.5 < np.mean(ratios) < 2.0
+
+
+def register(made: Drive, found: CompassMap, std_m: float) -> Factors:
+    """Places as registered, ``std_m`` off, on the mean of four around each that were passed at another time."""
+    true = fit_alignment(made.place, found.places, "SE2").apply(made.place)  # in the map's frame
+    around = KDTree(true).query(true, 40)[1]
+    apart = [row[np.abs(row - row[0]) > 30][:4] for row in around]
+    one = np.flatnonzero([len(row) == 4 for row in apart])
+    others = np.array([row for row in apart if len(row) == 4])
+    off = std_m * np.random.default_rng(0).standard_normal((len(one), 2))
+    offset = true[one] - true[others].mean(axis=1) + off
+    return Factors(one, others, np.full(others.shape, 0.25), offset, np.full(len(one), std_m**2))
+
+
+@pytest.mark.parametrize(("noise", "gaps"), [(0.0, 0.0), (1.0, 0.0), (1.0, 0.1)])
+def test_registrations_of_images_mend_a_map(noise: float, gaps: float):
+    made = drive(100, noise=noise, gaps=gaps)
+    found = find_map(made)
+    better = refine(found, register(made, found, 0.003), np.random.default_rng(0))
+    assert error(better.places, made.place) < 0.5 * error(found.places, made.place)
+    assert np.array_equal(found.places, find_map(made).places), "the map before is not touched"
+
+
+def test_the_derivatives_of_registrations_agree_with_finite_differences():
+    made = drive(40, noise=1.0, gaps=0.1, curvature=0.02, mount=(0.05, 0.02))
+    found = find_map(made)
+    bars = found.layout.bars
+    factors = register(made, found, 1e6).find_readings(bars, len(made.place))  # so that no weight is robust
+    equations = Equations()
+    add_factors(equations, bars, factors, 1e-6)
+    jacobian, residual = equations.assemble(bars.count)
+    step = 1e-5 * np.random.default_rng(0).standard_normal(bars.count)
+    bars.move(step)
+    moved = Equations()
+    add_factors(moved, bars, factors, 1e-6)
+    np.testing.assert_allclose(moved.assemble(bars.count)[1] - residual, jacobian @ step, atol=1e-8)
 
 
 def begin(made: Drive, segments: int) -> Drive:
