@@ -18,7 +18,7 @@ from deepgps.learning.training_data import TrainingData
 from deepgps.positioner.appearance import AppearanceMap
 from deepgps.positioner.kriging import KERNELS, Kernel, choose_kernel, find_others, krige
 from deepgps.positioner.pixels import KnownPixels, grey, turn
-from deepgps.positioner.registration import Calibration, Registration, fuse, inflate
+from deepgps.positioner.registration import LEVELS, Calibration, Registration, fuse, inflate
 from sim.errors import InputError
 from sim.geometry import wrap
 
@@ -35,6 +35,8 @@ HEADING_ROUNDS, REFINED_NOISE = 4, 0.99  # Rounds that refine headings, while th
 USUAL_SHARE = 0.98  # Share of the left-out images whose distance between two answers is usual
 LIKE_SHARE, MARGIN = 0.99, 4.0
 """An image is unlike others if it exceeds this share of the left-out images by this factor."""
+RADIUS_MARGIN = 1.2
+"""Radii of new images over those of left-out ones: fewer new ones have training images on all sides."""
 NORMAL_MEDIAN = np.log(2.0)  # Median of the squared length of a normal vector in the plane, over its mean
 UNCALIBRATED = Calibration(1.0, 1.0, 1.0, np.inf, np.inf, 1.0, (1.0, 1.0), 1.0, 0.0, 0.0)
 
@@ -224,9 +226,11 @@ def calibrate(known: Registration, images: np.ndarray, heading: np.ndarray, left
         light = float(np.quantile(np.abs(np.log(np.maximum(found.gain, 1e-3))), LIKE_SHARE))
         position, covariance = fuse(position, covariance, found.position, pixels * found.covariance[:, :2, :2])
     away, size = np.linalg.norm(position - place, axis=1), np.sqrt(_find_trace(covariance) * inflate(unlike / usual))
-    radius = float(np.quantile(away / size, 0.68)), float(np.quantile(away / size, 0.95))
+    small, large = (RADIUS_MARGIN * float(np.quantile(away / size, level)) for level in LEVELS)
     limits, difference = (_find_limit(unlike), pixels_limit), float(np.quantile(away, USUAL_SHARE))
-    return Calibration(features, pixels, float(usual), *limits, float(components), radius, yaw, light, difference)
+    return Calibration(
+        features, pixels, float(usual), *limits, float(components), (small, large), yaw, light, difference
+    )
 
 
 def _find_limit(unlike: np.ndarray) -> float:

@@ -196,7 +196,7 @@ def test_without_loop_closures_errors_are_as_large_as_their_standard_deviations(
 def register(made: Drive, found: CompassMap, std_m: float) -> Factors:
     """Places as registered, ``std_m`` off, on the mean of four around each that were passed at another time."""
     true = fit_alignment(made.place, found.places, "SE2").apply(made.place)  # in the map's frame
-    around = KDTree(true).query(true, 40)[1]
+    around = np.asarray(KDTree(true).query(true, 40)[1])
     apart = [row[np.abs(row - row[0]) > 30][:4] for row in around]
     one = np.flatnonzero([len(row) == 4 for row in apart])
     others = np.array([row for row in apart if len(row) == 4])
