@@ -138,7 +138,7 @@ def choose_kernel(places: np.ndarray, values: np.ndarray, rows: np.ndarray, othe
         weights = krige(places[rows], places, others, kernel)
         weight = weights.both[:, 0]
         error = np.einsum("nk,nkl,nl->n", weight, products, weight) / weights.variance
-        scale = np.median(error)
+        scale = max(float(np.median(error)), 1e-12)  # most observations may be alike
         return float((np.log(weights.variance * scale) + error / scale).mean())
 
     return min(KERNELS, key=find_cost)
