@@ -76,6 +76,13 @@ def choose_positions(found: CompassMap) -> np.ndarray:
     return np.flatnonzero(decided if decided.any() else known)
 
 
+def keep_chosen(found: CompassMap) -> np.ndarray:
+    """Positions (N, 2) [m] that are learned from; all others are NaN."""
+    places, index = np.full(found.places.shape, np.nan), choose_positions(found)
+    places[index] = found.places[index]
+    return places
+
+
 def make_compass_map(data: TrainingData, turns: CompassTurns, seed: int) -> CompassMap:
     """The map of all training observations by compass, encoders and loop closures; segments have expected errors."""
     first, second, length = find_loop_closures(data.features, data.segments, (NEIGHBOURS,))[0]
@@ -91,11 +98,8 @@ def refine_map(data: TrainingData, found: CompassMap, seed: int) -> CompassMap:
     """The map with registrations of its images on one another, as long as it predicts held-out ones better."""
     rng, checks, error = stream(seed, "compass map, registered"), None, np.inf
     for number in range(REFINEMENTS):
-        places = np.full(found.places.shape, np.nan)
-        index = choose_positions(found)
-        places[index] = found.places[index]
         try:
-            factors = find_factors(data, places, found.heading, slice(number, None, REFINEMENTS), FACTORS)
+            factors = find_factors(data, keep_chosen(found), found.heading, slice(number, None, REFINEMENTS), FACTORS)
         except InputError:
             return found
         if checks is None:

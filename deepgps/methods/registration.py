@@ -9,7 +9,7 @@ from deepgps.config.learning import LearnSettings
 from deepgps.data.segments import find_runs
 from deepgps.learning.training_data import TrainingData, prepare
 from deepgps.methods.appearance import learn
-from deepgps.methods.compass import choose_positions, find_mount, map_by_compass
+from deepgps.methods.compass import find_mount, keep_chosen, map_by_compass
 from deepgps.methods.deepgps import choose_start, make_initial_map
 from deepgps.positioner.positioner import Fitted, RegistrationPositioner
 from deepgps.terminal.progress import Report
@@ -21,9 +21,8 @@ def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, 
     """Learn on the map by compass."""
     start = time.perf_counter()
     data, found, record = map_by_compass(recording, settings, seed, folder, progress)
-    places, index = np.full(found.places.shape, np.nan), choose_positions(found)
-    places[index] = found.places[index]
-    return finish(data, places, found.heading, start, progress, folder, found.std, find_mount(found)).note(record)
+    places, mount = keep_chosen(found), find_mount(found)
+    return finish(data, places, found.heading, start, progress, folder, found.std, mount).note(record)
 
 
 def fit_distances(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:

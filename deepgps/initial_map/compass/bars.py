@@ -71,6 +71,12 @@ class Bars:
         axle = x_y + turn(begin[:, 0], follow_arc(distance, self.shared[0]))
         return Located(distance, heading, axle, axle + turn(heading, np.broadcast_to(self.shared[1:], axle.shape)))
 
+    def find_readings(self, observations: int) -> np.ndarray:
+        """The first reading of each of so many observations (observations,); -1: it has none."""
+        reading = np.full(observations, -1)
+        reading[self.observation[::-1]] = np.arange(len(self.row))[::-1]
+        return reading
+
     def move(self, step: np.ndarray) -> None:
         """Add a step (count,) to the unknowns."""
         self.unknown = self.unknown + step[:-SHARED_UNKNOWNS].reshape(-1, 4)

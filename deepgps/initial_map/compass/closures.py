@@ -69,8 +69,7 @@ class Inliers(NamedTuple):
 
 def link(bars: Bars, closures: Closures, observations: int) -> Links:
     """Loop closures between the bars' readings; those without a reading are left out."""
-    reading = np.full(observations, -1)
-    reading[bars.observation[::-1]] = np.arange(len(bars.row))[::-1]
+    reading = bars.find_readings(observations)
     one, other = reading[closures.first], reading[closures.second]
     number = np.flatnonzero((one >= 0) & (other >= 0))
     step = measure_spacing(np.diff(bars.along)[np.diff(bars.row) == 0])

@@ -72,7 +72,7 @@ class Layout:
     """The bars of a map, which a fit moves, and what is known of how they lie."""
 
     bars: Bars
-    laid_out: Bars
+    laid_out: Bars  # The same before any fit: where along their bars the encoder has the readings
     joints: Joints
     links: Links
     cut: np.ndarray  # Joints at which the drive is cut into parts (B - 1,) bool
@@ -93,7 +93,7 @@ class Fit:
     part: np.ndarray  # Part of the drive of each bar (B,)
     samples: np.ndarray  # Samples of the unknowns' errors (count, SAMPLES)
     inliers: Inliers
-    scale: Scale
+    scale: Scale  # How many times larger the errors of turns and lengths were than expected
     # Of each round, positions (r, 2) and headings (r,) of the readings, and the inliers (m,)
     rounds: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=list)
 
@@ -127,7 +127,6 @@ class CompassMap:
     # [m] (3,)
     shared: np.ndarray
     shared_std: np.ndarray  # Their standard deviations (3,)
-    scale: Scale  # How many times larger the errors of turns and lengths were than expected
     closures: Closures  # The loop closures that were tried
     stages: tuple[Stage, ...]  # How the map was made, its last stage last
     layout: Layout
@@ -270,7 +269,6 @@ def _describe(layout: Layout, fit: Fit, closures: Closures, observations: int, r
         inliers.repeats_m,
         bars.shared,
         shared_std,
-        fit.scale,
         closures,
         stages,
         layout,

@@ -5,12 +5,12 @@ image and those from which it is predicted, as loop closures of WiFi maps do (Hu
 Indoor WiFi GraphSLAM", ICRA 2011).
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Self
 
 import numpy as np
 
-from deepgps.initial_map.compass.bars import CAMERA_UNKNOWNS, Bars
+from deepgps.initial_map.compass.bars import CAMERA_UNKNOWNS, Bars, turn
 from deepgps.initial_map.compass.closures import ROBUST_SCALE
 from deepgps.initial_map.compass.least_squares import Equations, carry, rescale_by
 
@@ -31,11 +31,9 @@ class Factors:
 
     def find_readings(self, bars: Bars, observations: int) -> Self:
         """The factors between the bars' readings; those without a reading are left out."""
-        reading = np.full(observations, -1)
-        reading[bars.observation[::-1]] = np.arange(len(bars.row))[::-1]
+        reading = bars.find_readings(observations)
         one, others = reading[self.one], reading[self.others]
-        read = (one >= 0) & (others >= 0).all(axis=1)
-        return type(self)(one, others, self.weight, self.offset, self.variance).take(read)
+        return replace(self, one=one, others=others).take((one >= 0) & (others >= 0).all(axis=1))
 
     def compare(self, places: np.ndarray) -> np.ndarray:
         """Residuals (m, 2) [m] with all at these places (N, 2) [m]; or (m, 2, n), of samples (N, 2, n)."""
@@ -71,10 +69,9 @@ def rescale_factors(bars: Bars, factors: Factors, samples: np.ndarray, scale: fl
 
 def even_out(bars: Bars, laid_out: Bars, factors: Factors, scale: float, length_scale: float) -> None:
     """Move readings within their bars to where they are expected by their factors and as they were laid out."""
-    edge = np.diff(bars.row, prepend=-1, append=-1) != 0
-    factors = factors.take(~(edge[:-1] | edge[1:])[factors.one])
-    one, heading = factors.one, bars.heading[factors.one]
-    ahead = np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    factors = factors.take(~np.isin(factors.one, np.concatenate([bars.first, bars.last])))
+    one = factors.one
+    ahead = turn(bars.heading[one], np.array([[1.0, 0.0]]))
     stretch = np.exp(bars.unknown[bars.row[one], 3])
     moved = stretch * (bars.along - laid_out.along)[one]
     away = -(factors.compare(bars.camera) * ahead).sum(axis=1)
