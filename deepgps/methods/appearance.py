@@ -35,7 +35,7 @@ HEADING_ROUNDS, REFINED_NOISE = 4, 0.99  # Rounds that refine headings, while th
 USUAL_SHARE = 0.98  # Share of the left-out images whose distance between two answers is usual
 LIKE_SHARE, MARGIN = 0.99, 4.0
 """An image is unlike others if it exceeds this share of the left-out images by this factor."""
-RADIUS_MARGIN = 1.2
+RADIUS_MARGIN = 1.3
 """Radii of new images over those of left-out ones: fewer new ones have training images on all sides."""
 NORMAL_MEDIAN = np.log(2.0)  # Median of the squared length of a normal vector in the plane, over its mean
 UNCALIBRATED = Calibration(1.0, 1.0, 1.0, np.inf, np.inf, 1.0, (1.0, 1.0), 1.0, 0.0, 0.0)
