@@ -5,7 +5,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from tempfile import TemporaryFile
 from typing import BinaryIO, NamedTuple
 
 import cv2
@@ -183,9 +182,8 @@ def _follow(robot: RobotConfig, drive: LoggedDrive, polar: PolarSource, progress
     """Distance and heading at each image, by the wheels when they were read later by their lag."""
     lag_s = robot.wheels.lag_s
     if lag_s == "estimate":
-        with TemporaryFile() as file:
-            lag_s, _ = compare_wheels(polar, drive, lag_s, file, progress)
-    time_s = np.nan_to_num(drive.image_s, nan=-np.inf) + float(lag_s)
+        lag_s, _ = compare_wheels(polar, drive, lag_s, progress)
+    time_s = drive.image_s + float(lag_s)
     wheels = drive.driven.wheels
     angle = wheels.at(time_s)
     angle[1:][np.diff(wheels.count_breaks(time_s)) != 0] = np.nan  # the motion since the image before is unknown

@@ -5,7 +5,8 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Any
+from tempfile import TemporaryFile
+from typing import Any
 
 import numpy as np
 import yaml
@@ -117,9 +118,9 @@ def read_info(message: Any) -> RawCamera | None:
 def _read_info(log: Log, topic: str) -> RawCamera:
     log.check_topic(topic, "camera.info", [CAMERA_INFO])
     why = f"{topic} holds no message"
-    for sample, part in log.read([topic]):
+    for sample in log.read([topic]):
         try:
-            camera = read_info(part.decode(sample))
+            camera = read_info(sample.decode())
         except InputError as error:
             raise InputError(f"{topic}: {error}") from None
         if camera is not None:
@@ -204,6 +205,7 @@ class PolarSource:
     camera: RawCamera  # Its calibration
     unwrap: Unwrapping  # Makes polar images
     lens: Lens  # Lens of the polar images
+    scratch: Path | None = None  # Folder for images that are drawn; None: the system's for temporary files
     # Numbers of images that cannot be used, and why, as far as they have been read
     damaged: dict[int, str] = field(default_factory=dict)
     drawn: set[int] = field(default_factory=set)  # Numbers of the images that have been read
@@ -213,7 +215,7 @@ class PolarSource:
         """Shape of a polar image."""
         return self.unwrap.rings, self.unwrap.sectors, 3
 
-    def draw(self, wanted: Sequence[int], store: IO[bytes], progress: Report, label: str) -> np.ndarray:
+    def draw(self, wanted: Sequence[int], progress: Report, label: str) -> np.ndarray:
         """Polar images (n, rings, sectors, 3) of some images of the log in this order, mapped from a file."""
         places = dict[int, list[int]]()
         for place, number in enumerate(wanted):
@@ -221,8 +223,8 @@ class PolarSource:
         self.drawn.update(places)
         if not places:
             return np.empty((0, *self.shape), np.uint8)
-        store.truncate(len(wanted) * int(np.prod(self.shape)))
-        images = np.memmap(store, np.uint8, "r+", shape=(len(wanted), *self.shape))
+        with TemporaryFile(dir=self.scratch) as store:
+            images = np.memmap(store, np.uint8, "w+", shape=(len(wanted), *self.shape))
         for done, (number, image) in enumerate(take_images(self.log, self.topic, places), start=1):
             try:
                 if isinstance(image, InputError):
@@ -234,7 +236,7 @@ class PolarSource:
         return images
 
 
-def open_polar(log: Log, config: CameraConfig) -> PolarSource:
+def open_polar(log: Log, config: CameraConfig, scratch: Path | None = None) -> PolarSource:
     """Find the calibration, for the size of most of the first images that can be decoded.
 
     Raises:
@@ -246,4 +248,4 @@ def open_polar(log: Log, config: CameraConfig) -> PolarSource:
         raise InputError(f"camera.topic {config.topic}: none of the first images can be used: {first[0]}")
     camera = find_camera(log, config, sizes.most_common(1)[0][0])
     unwrap, lens = prepare_unwrapping(camera, config)
-    return PolarSource(log, config.topic, camera, unwrap, lens)
+    return PolarSource(log, config.topic, camera, unwrap, lens, scratch)

@@ -5,11 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from deepgps.robot_io.logs.clocks import Clocked, choose_times
-from deepgps.robot_io.logs.messages import UNUSABLE_NOTE, PoseLog, WheelLog, find_poses
+from deepgps.robot_io.logs.messages import OdometryLog, PoseLog, WheelLog
 from deepgps.robot_io.logs.pictures import ImageList
 from deepgps.robot_io.logs.robot_config import RobotConfig
 from deepgps.robot_io.logs.segmentation import Driven, follow
-from deepgps.robot_io.logs.wheels import clean_wheels, fill_counts
+from deepgps.robot_io.logs.wheels import clean_wheels, fill_counts, interpolate
+from sim.geometry import wrap
+
+POSE_GAP_S = 0.5  # Longest time between two poses across which they are interpolated [s]
 
 
 @dataclass(frozen=True)
@@ -26,6 +29,7 @@ class LoggedDrive:
 
 def find_drive(config: RobotConfig, wheel_log: WheelLog, listed: ImageList, pose_log: PoseLog | None) -> LoggedDrive:
     """Bring everything to one clock and find what the robot did; raises InputError like ``import_log``."""
+    from_odometry = isinstance(wheel_log, OdometryLog)
     heard = [one for one in (wheel_log, listed, pose_log) if one is not None]
     clocks = choose_times({one.topic: (one.log_ns, one.stamp_ns) for one in heard}, config.clocks == "logged")
     notes, image_s, pose = [*clocks.notes], clocks.time_s[listed.topic], None
@@ -35,14 +39,13 @@ def find_drive(config: RobotConfig, wheel_log: WheelLog, listed: ImageList, pose
         config.wheels.ticks_per_rev,
         wheel_log.topic,
         image_s,
-        wheel_log.from_odometry,
+        from_odometry,
     )
     wheels = fill_counts(wheels, wheel_log.topic)
     driven = follow(wheels, config.wheels.radius_m, config.wheels.track_m)
     if config.pose and pose_log is not None:
-        if pose_log.without:
-            notes.append(f"{pose_log.topic}: {pose_log.without} messages are left out: {UNUSABLE_NOTE}")
-        pose = find_poses(clocks.time_s[pose_log.topic], pose_log.pose, np.nan_to_num(image_s, nan=-np.inf))
+        notes += pose_log.list_notes()
+        pose = find_poses(clocks.time_s[pose_log.topic], pose_log.pose, image_s)
         if config.pose.use == "truth" and (lacking := int(np.isnan(pose[:, 0]).sum())):
             notes.append(f"{pose_log.topic}: {lacking} images have no pose within half a second and are left out")
     notes += [*wheel_log.list_notes(), *wheels.notes]
@@ -52,4 +55,23 @@ def find_drive(config: RobotConfig, wheel_log: WheelLog, listed: ImageList, pose
             f"{wheel_log.topic}: the robot drove {back_m:.1f} m backward and {ahead_m:.1f} m forward: do both wheels "
             "count forward?"
         )
-    return LoggedDrive(driven, clocks, image_s, pose, tuple(notes), wheel_log.from_odometry)
+    return LoggedDrive(driven, clocks, image_s, pose, tuple(notes), from_odometry)
+
+
+def find_poses(time_s: np.ndarray, pose: np.ndarray, at_s: np.ndarray) -> np.ndarray:
+    """Poses (m, 3) at some times (m,) [s], interpolated; NaN where none was measured within half a second.
+
+    Args:
+        time_s: Times of the poses (n,) [s]; NaN where they are not known.
+        pose: Poses (n, 3) x, y [m], yaw [rad].
+        at_s: The times.
+    """
+    order = np.argsort(time_s, kind="stable")
+    order = order[np.isfinite(time_s[order])]
+    if len(order) < 2:
+        return np.full((len(at_s), 3), np.nan)
+    time_s, pose = time_s[order], pose[order]
+    pose[:, 2] = np.unwrap(pose[:, 2])
+    found = interpolate(at_s, time_s, pose, np.diff(time_s) > POSE_GAP_S)
+    found[:, 2] = wrap(found[:, 2])
+    return found

@@ -7,7 +7,6 @@ for the images that the recording holds.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryFile
 from typing import Any
 
 import numpy as np
@@ -34,8 +33,6 @@ MAX_DAMAGED_SHARE = 0.05  # Share of damaged images from which a log is refused
 MIN_SEGMENTS = 3
 """Segments from which one is held out, however small the part that is wanted: errors cannot be measured without."""
 
-LAST_ENTRIES = ("schema", "sha256", "checksum")
-"""Entries of a manifest that are written again when a deployment drive is added."""
 HEIGHTS_M = (0.2, 1.5)  # Limits of the setting camera.height_m, by which only the viewer draws [m]
 
 
@@ -58,10 +55,9 @@ def import_log(path: Path, config: RobotConfig, out: Path, progress: Report, con
     check_place(out)
     with open_log(path) as log:
         drive = find_drive(config, *read_times(log, config, progress))
-        source = open_polar(log, config.camera)
         out.parent.mkdir(parents=True, exist_ok=True)
-        with TemporaryFile(dir=out.parent) as file:
-            lag_s, doubts = compare_wheels(source, drive, config.wheels.lag_s, file, progress)
+        source = open_polar(log, config.camera, out.parent)
+        lag_s, doubts = compare_wheels(source, drive, config.wheels.lag_s, progress)
         about = {"name": path.name, "config_sha256": config_sha256, "lag_s": lag_s}
         notes = [*log.notes, *drive.notes, *note_reach(source), *note_cover(source.topic, drive), *doubts]
         return _Import(config, source, drive, lag_s).write(about, notes, out, progress)
@@ -95,44 +91,43 @@ class _Import:
 
     def write(self, about: Mapping[str, Any], notes: list[str], out: Path, progress: Report) -> dict[str, Any]:
         """Choose, draw and write the images; where some are damaged, the choice is made again without them."""
-        source = self.source
+        source, damage = self.source, list[str]()
         while True:  # each round finds another damaged image, and too many are refused
             plans, before = self._choose(), len(source.damaged)
             parts = [one for plan in plans for one in (plan.observation, plan.turn_image)]
             numbers = np.concatenate(parts).tolist()
             check_space(out, 2 * len(numbers) * int(np.prod(source.shape)))
-            with TemporaryFile(dir=out.parent) as file:
-                images = source.draw(numbers, file, progress, "unwrap images")
-                damage = self._describe_damage()
-                if len(source.damaged) > max(MAX_DAMAGED_SHARE * len(source.drawn), 1):
-                    raise InputError(damage[0])
-                if len(source.damaged) > before:
-                    continue
-                found = {**about, **describe(self.config, source, self.drive, *plans), "notes": [*notes, *damage]}
-                self._store(plans, np.split(images, np.cumsum([len(part) for part in parts[:-1]])), out, found)
-                return found
+            images = source.draw(numbers, progress, "unwrap images")
+            for number, why in sorted(source.damaged.items())[:1]:
+                damage = [f"{source.topic} at {self.drive.image_s[number]:.2f} s: {why}; damaged images: "]
+                damage[0] += str(len(source.damaged))
+            if len(source.damaged) > max(MAX_DAMAGED_SHARE * len(source.drawn), 1):
+                raise InputError(damage[0])
+            if len(source.damaged) == before:
+                break
+        found = {**about, **describe(self.config, source, self.drive, *plans), "notes": [*notes, *damage]}
+        self._store(plans, np.split(images, np.cumsum([len(part) for part in parts[:-1]])), out, found)
+        return found
 
     def _choose(self) -> tuple[Plan, Plan]:
         """The images of the segments to learn from and of those held out; raises InputError if there is no segment."""
-        config, drive, images = self.config, self.drive, self._match()
-        straight = [number for number, motion in enumerate(drive.driven.motions) if motion.kind == "straight"]
+        config, driven, images = self.config, self.drive.driven, self._match()
+        straight = [number for number, motion in enumerate(driven.motions) if motion.kind == "straight"]
         held_out = round(config.drive.held_out * len(straight))
         if config.drive.held_out and len(straight) >= MIN_SEGMENTS:
             held_out = max(held_out, 1)
-        end = straight[-held_out] if held_out else len(drive.driven.motions)
-
-        def plan(some: range) -> Plan:
-            spacing_m, ticks = config.drive.spacing_m, config.wheels.ticks_per_rev
-            return plan_recording(drive.driven, some, images, spacing_m, ticks)
-
-        train, test = plan(range(end)), plan(range(end, len(drive.driven.motions)))
+        count = len(driven.motions)
+        end = straight[-held_out] if held_out else count
+        train, test = (
+            plan_recording(driven, some, images, config.drive.spacing_m, config.wheels.ticks_per_rev)
+            for some in (range(end), range(end, count))
+        )
         if not len(train.motions):
-            found = {kind: sum(one.kind == kind for one in drive.driven.motions) for kind in KINDS}
-            hint = next(iter(drive.notes), "do their times overlap, and do both wheels count forward?")
+            found = ", ".join(f"{sum(one.kind == kind for one in driven.motions)} {kind}" for kind in KINDS)
+            hint = next(iter(self.drive.notes), "do their times overlap, and do both wheels count forward?")
             raise InputError(
                 f"{config.wheels.topic}, {self.source.topic}: no straight segment with two images was found (motions: "
-                f"{', '.join(f'{count} {kind}' for kind, count in found.items())}; images at known angles: "
-                f"{len(images.number)}); {hint}"
+                f"{found}; images at known angles: {len(images.number)}); {hint}"
             )
         return train, test
 
@@ -140,23 +135,14 @@ class _Import:
         """The images that can be used, with the wheels at their times."""
         drive, wheels = self.drive, self.config.wheels
         order = np.argsort(drive.image_s, kind="stable")
-        wheel_s = drive.image_s[order] + self.lag_s
-        angle = drive.driven.wheels.at(np.nan_to_num(wheel_s, nan=-np.inf))
+        time_s = drive.image_s[order]
+        angle = drive.driven.wheels.at(time_s + self.lag_s)
         good = np.isfinite(angle).all(axis=1) & ~np.isin(order, list(self.source.damaged))
         if drive.pose is not None and self.config.pose and self.config.pose.use == "truth":
             good &= np.isfinite(drive.pose[order]).all(axis=1)
-        good[1:] &= np.diff(drive.image_s[order]) > 0
-        order, wheel_s, angle = order[good], wheel_s[good], angle[good]
-        path = find_path(angle, wheels.radius_m, wheels.track_m)
-        return Images(order, drive.image_s[order], wheel_s, angle, path)
-
-    def _describe_damage(self) -> list[str]:
-        """The first damaged image in one line, if there is one."""
-        damaged, topic = self.source.damaged, self.source.topic
-        return [
-            f"{topic} at {self.drive.image_s[number]:.2f} s: {damaged[number]}; damaged images: {len(damaged)}"
-            for number in sorted(damaged)[:1]
-        ]
+        good &= np.diff(time_s, prepend=-np.inf) > 0
+        path = find_path(angle[good], wheels.radius_m, wheels.track_m)
+        return Images(order[good], time_s[good], time_s[good] + self.lag_s, angle[good], path)
 
     def _store(
         self, plans: tuple[Plan, Plan], images: Sequence[np.ndarray], out: Path, about: Mapping[str, Any]
@@ -173,8 +159,7 @@ class _Import:
             self._write_plan(train, images[:2], folder, {"source": "log", "log": about}, known)
             if "pose" not in known and len(test.motions):
                 self._write_plan(test, images[2:], folder / DEPLOYMENT_FOLDER, {"source": "log"}, {})
-                manifest = read_json(folder / "manifest.json")
-                finish_recording(folder, {name: value for name, value in manifest.items() if name not in LAST_ENTRIES})
+                finish_recording(folder, read_json(folder / "manifest.json"))
 
     def _write_plan(
         self,

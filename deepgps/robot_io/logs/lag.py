@@ -4,8 +4,7 @@ The turn between two images is the circular shift that makes their rings agree b
 which the wheels turn as the images do in turns in place; elsewhere, neither may turn.
 """
 
-from collections.abc import Callable
-from typing import IO, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -40,6 +39,7 @@ class Pairs(NamedTuple):
     first_s: np.ndarray  # Time of the first image of each (p,) [s]
     second_s: np.ndarray  # Time of the second one (p,) [s]
     turned: np.ndarray  # The turn between them by the images (p,) [rad], to the left
+    in_turn: np.ndarray  # Whether both were taken in a turn in place by the wheels, or shortly before or after (p,)
 
     def follow(self, time_s: np.ndarray, values: np.ndarray, lag_s: float = 0.0) -> np.ndarray:
         """Changes (p,) of some values (n,) at times (n,) [s] of the wheels."""
@@ -73,7 +73,7 @@ def _sharpen(image: np.ndarray) -> np.ndarray:
 
 def estimate_lag(pairs: Pairs, time_s: np.ndarray, yaw: np.ndarray) -> Lag | None:
     """The lag at which the wheels' heading (n,) [rad] at times (n,) [s] turns as the images; None: too few turns."""
-    pairs = Pairs(*(values[np.abs(pairs.turned) > MIN_TURN_RAD] for values in pairs))
+    pairs = Pairs(*(values[pairs.in_turn & (np.abs(pairs.turned) > MIN_TURN_RAD)] for values in pairs))
     if len(pairs.turned) < MIN_PAIRS:
         return None
 
@@ -92,7 +92,7 @@ def estimate_lag(pairs: Pairs, time_s: np.ndarray, yaw: np.ndarray) -> Lag | Non
 
 
 def compare_wheels(
-    source: PolarSource, drive: LoggedDrive, given: float | str, file: IO[bytes], progress: Report
+    source: PolarSource, drive: LoggedDrive, given: float | str, progress: Report
 ) -> tuple[float, list[str]]:
     """The lag that counts [s], and what the user should know of wheels and images.
 
@@ -100,110 +100,98 @@ def compare_wheels(
         source: Images of the log.
         drive: Its drive.
         given: The lag by the robot's file [s], or ``estimate``.
-        file: Takes the images that are looked at.
         progress: Called with what is done.
 
     Raises:
         InputError: They contradict each other, or the lag cannot be estimated.
     """
-    numbers = [_pair_images(drive, in_turns) for in_turns in (True, False)]
-    wanted = np.unique(np.concatenate([one for two in numbers for one in two]))
-    images = source.draw(wanted.tolist(), file, progress, "see turns")
+    first, second, in_turn = _pair_images(drive)
+    wanted = np.unique((first, second))
+    images = source.draw(wanted.tolist(), progress, "see turns")
+    rows = zip(*np.searchsorted(wanted, (first, second)), strict=True)
+    turned = np.array([measure_shift(images[one], images[other]) for one, other in rows])
+    pairs = Pairs(drive.image_s[first], drive.image_s[second], turned, in_turn)
+    path = drive.driven.path
+    return judge_pairs(pairs, drive.driven.wheels.time_s, path.yaw, path.travelled_m, given, source.topic)
 
-    def measure(first: np.ndarray, second: np.ndarray) -> Pairs:
-        rows = zip(*np.searchsorted(wanted, (first, second)), strict=True)
-        turned = [measure_shift(images[one], images[other]) for one, other in rows]
-        return Pairs(drive.image_s[first], drive.image_s[second], np.array(turned))
 
-    turns, others = measure(*numbers[0]), measure(*numbers[1])
-    notes = judge_pairs(
-        turns, others, drive.driven.wheels.time_s, drive.driven.path.yaw, drive.driven.path.travelled_m, source.topic
-    )
-    lag_s, more = choose_lag(given, estimate_lag(turns, drive.driven.wheels.time_s, drive.driven.path.yaw))
-    return lag_s, notes + more
+def _pair_images(drive: LoggedDrive) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Numbers of the first and second image of pairs in turns and elsewhere, and whether each is in a turn."""
+    wheels, order = drive.driven.wheels, np.argsort(drive.image_s, kind="stable")
+    order = order[np.isfinite(drive.image_s[order])]
+    image_s, inside = drive.image_s[order], np.zeros(len(order), bool)
+    for one in drive.driven.motions:
+        if one.kind == "turn":
+            span = wheels.time_s[one.first] - TURN_MARGIN_S, wheels.time_s[one.last] + TURN_MARGIN_S
+            inside[slice(*np.searchsorted(image_s, span))] = True
+    second = np.searchsorted(image_s, image_s + PAIR_S[0])
+    known, breaks = ~np.isnan(wheels.at(image_s)[:, 0]), wheels.count_breaks(image_s)
+    first = np.flatnonzero((second < len(order)) & known)
+    first = first[known[second[first]] & (breaks[second[first]] == breaks[first])]
+    first = first[image_s[second[first]] - image_s[first] < PAIR_S[1]]
+    some = []
+    for kind in (False, True):
+        rows = first[(inside[first] == kind) & (inside[second[first]] == kind)]
+        some.append(rows[np.unique(np.linspace(0, len(rows) - 1, MAX_PAIRS).astype(int))] if len(rows) else rows)
+    first = np.concatenate(some)
+    return order[first], order[second[first]], inside[first]
 
 
 def judge_pairs(
-    turns: Pairs, others: Pairs, time_s: np.ndarray, yaw: np.ndarray, travelled_m: np.ndarray, topic: str
-) -> list[str]:
-    """What the user should know of images that do not turn with the wheels, or turn without them.
+    pairs: Pairs, time_s: np.ndarray, yaw: np.ndarray, travelled_m: np.ndarray, given: float | str, topic: str
+) -> tuple[float, list[str]]:
+    """The lag that counts [s], and what the user should know of images that do not turn with the wheels.
 
     Args:
-        turns: Pairs of images in turns in place by the wheels.
-        others: Other pairs.
+        pairs: Pairs of images.
         time_s: Times of the wheels (n,) [s].
         yaw: Heading by the wheels (n,) [rad].
         travelled_m: Distance by the wheels (n,) [m].
+        given: The lag by the robot's file [s], or ``estimate``.
         topic: The images' topic.
 
     Raises:
-        InputError: One wheel counts backward, or both move alike while images turn.
+        InputError: Images contradict the wheels, or do not show the lag.
     """
-    by_wheels, beside = turns.follow(time_s, yaw), others.follow(time_s, yaw)
-    seen, odd = np.abs(turns.turned[np.abs(by_wheels) > MIN_TURN_RAD]), np.abs(others.turned)
-    odd = odd[(np.abs(beside) < MIN_TURN_RAD / 2) & (odd > OUTLIER_RAD)]
-    share, degrees = len(odd) / max(len(others.turned), 1), np.degrees(odd.sum())
-    turning = np.abs(others.turned) > MIN_TURN_RAD / 2
-    if len(seen) >= MIN_PAIRS and (seen > MIN_TURN_RAD / 2).mean() < MIN_SEEN_SHARE:
+    seen, by_wheels, still = np.abs(pairs.turned), np.abs(pairs.follow(time_s, yaw)), MIN_TURN_RAD / 2
+    turns, others = pairs.in_turn & (by_wheels > MIN_TURN_RAD), ~pairs.in_turn
+    odd = others & (by_wheels < still) & (seen > OUTLIER_RAD)
+    odd_share, odd_deg = odd.sum() / max(others.sum(), 1), np.degrees(seen[odd].sum())
+    turning = others & (seen > still)
+    if min(turns.sum(), turning.sum()) >= MIN_PAIRS and turning.sum() > MAX_ODD_SHARE * others.sum():
         # a turn to the left seems to go forward if the left wheel counts backward, and backward if the right one does
-        wheel = "left" if float(others.follow(time_s, travelled_m) @ others.turned) > 0 else "right"
-        if turning.sum() >= MIN_PAIRS and turning.mean() > MAX_ODD_SHARE:
+        ahead = (pairs.follow(time_s, travelled_m) * pairs.turned)[others].sum()
+        if (share := (seen[turns] > still).mean()) < MIN_SEEN_SHARE:
             raise InputError(
-                f"wheels.left, wheels.right: they turn against each other in {len(seen)} pairs of images of which "
-                f"{(seen > MIN_TURN_RAD / 2).mean():.0%} turn, and images turn where they do not: one of them counts "
-                f"backward, by the images the {wheel} one (wheels.backward)"
+                f"wheels.left, wheels.right: they turn against each other in {turns.sum()} pairs of images of which "
+                f"{share:.0%} turn, and images turn where they do not: one of them counts backward, by the images the "
+                f"{'left' if ahead > 0 else 'right'} one (wheels.backward)"
             )
-    if len(odd) >= MIN_PAIRS and np.abs(np.r_[by_wheels, beside]).sum() < MAX_ODD_SHARE * odd.sum():
+    if odd.sum() >= MIN_PAIRS and by_wheels.sum() < MAX_ODD_SHARE * seen[odd].sum():
         raise InputError(
-            f"wheels.left, wheels.right: images turn by {degrees:.0f} deg in {len(odd)} of {len(others.turned)} pairs, "
-            "and the wheels never differ: do both joints move alike, or has the odometry no orientation?"
+            f"wheels.left, wheels.right: images turn by {odd_deg:.0f} deg in {odd.sum()} of {others.sum()} pairs, and "
+            "the wheels never differ: do both joints move alike, or has the odometry no orientation?"
         )
     notes = []
-    if len(odd) >= MIN_PAIRS and share > MAX_ODD_SHARE:
+    if odd.sum() >= MIN_PAIRS and odd_share > MAX_ODD_SHARE:
         notes.append(
-            f"{topic}: in {share:.0%} of {len(others.turned)} pairs taken while the wheels do not turn, images do, by "
-            f"{degrees:.0f} deg in all: do wheels slip, or miss counts?"
+            f"{topic}: in {odd_share:.0%} of {others.sum()} pairs taken while the wheels do not turn, images do, by "
+            f"{odd_deg:.0f} deg in all: do wheels slip, or miss counts?"
         )
-    some = np.abs(by_wheels) > VISIBLE_TURN_RAD
-    still = some & (np.abs(turns.turned) < MIN_TURN_RAD / 2)
-    if some.sum() >= MIN_PAIRS and still.sum() > MAX_ODD_SHARE * some.sum():
+    clear = pairs.in_turn & (by_wheels > VISIBLE_TURN_RAD)
+    frozen = clear & (seen < still)
+    if clear.sum() >= MIN_PAIRS and frozen.sum() > MAX_ODD_SHARE * clear.sum():
         notes.append(
-            f"{topic}: in {still.sum() / some.sum():.0%} of {some.sum()} pairs taken while the wheels turn, images do "
-            f"not turn, first at {turns.first_s[still].min():.1f} s: is the camera frozen or covered there?"
+            f"{topic}: in {frozen.sum() / clear.sum():.0%} of {clear.sum()} pairs taken while the wheels turn, images "
+            f"do not turn, first at {pairs.first_s[frozen].min():.1f} s: is the camera frozen or covered there?"
         )
-    return notes
-
-
-def _pair_images(drive: LoggedDrive, in_turns: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers of the first and second image of pairs in turns and shortly before and after, or elsewhere."""
-    order = np.argsort(drive.image_s, kind="stable")
-    order = order[np.isfinite(drive.image_s[order])]
-    image_s, time_s = drive.image_s[order], drive.driven.wheels.time_s
-    margin = TURN_MARGIN_S * np.array([-1.0, 1.0])
-    spans = [time_s[[one.first, one.last]] + margin for one in drive.driven.motions if one.kind == "turn"]
-    inside = np.zeros(len(order), bool)
-    for span in spans:
-        inside[slice(*np.searchsorted(image_s, span))] = True
-    fits: Callable[[np.ndarray], np.ndarray] = (lambda rows: inside[rows]) if in_turns else (lambda rows: ~inside[rows])
-    second = np.searchsorted(image_s, image_s + PAIR_S[0])
-    rows = np.flatnonzero((second < len(order)) & (image_s >= time_s[0]) & (image_s <= time_s[-1]))
-    rows = rows[fits(rows) & fits(second[rows]) & (image_s[second[rows]] - image_s[rows] < PAIR_S[1])]
-    rows = rows[np.unique(np.linspace(0, len(rows) - 1, MAX_PAIRS).astype(int))] if len(rows) else rows
-    return order[rows], order[second[rows]]
-
-
-def choose_lag(given: float | str, lag: Lag | None) -> tuple[float, list[str]]:
-    """The lag that counts [s], given or ``estimate``, and notes, by that of the turns; None: they do not show it.
-
-    Raises:
-        InputError: Images turn against the wheels, the wheels are not in radians, or the lag cannot be estimated.
-    """
+    lag = estimate_lag(pairs, time_s, yaw)
     if lag is None:
         if given == "estimate":
             raise InputError(
                 f"wheels.lag_s estimate: fewer than {MIN_PAIRS} pairs of images show a turn in place; give a number"
             )
-        return float(given), []
+        return float(given), notes
     if lag.agree < MIN_AGREEING_SHARE and lag.mirrored > max(MIN_AGREEING_SHARE, lag.agree + 0.2):
         raise InputError(
             f"in {lag.mirrored:.0%} of {lag.pairs} turns images turn against the wheels: camera.mirrored is wrong, "
@@ -214,7 +202,6 @@ def choose_lag(given: float | str, lag: Lag | None) -> tuple[float, list[str]]:
             f"wheels.left, wheels.right: they turn {lag.ratio:.0f} times as far as the images: their positions must be "
             "angles in radians"
         )
-    notes = []
     if lag.agree < MIN_AGREEING_SHARE:
         notes.append(
             f"in only {lag.agree:.0%} of {lag.pairs} turns images and wheels agree, and "

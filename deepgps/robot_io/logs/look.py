@@ -7,18 +7,18 @@ from typing import Any
 
 import numpy as np
 
-from deepgps.robot_io.logs import plain_folder
 from deepgps.robot_io.logs.camera import CAMERA_INFO, read_info
 from deepgps.robot_io.logs.clocks import find_faults, take_times
 from deepgps.robot_io.logs.containers import open_log
-from deepgps.robot_io.logs.messages import GAP_S, JOINT_STATE, ODOMETRY, POSE_KINDS
-from deepgps.robot_io.logs.pictures import COMPRESSED_IMAGE, RAW_IMAGE, decoder
-from deepgps.robot_io.logs.sample import Heard, Part, Sample
+from deepgps.robot_io.logs.drive import POSE_GAP_S
+from deepgps.robot_io.logs.messages import JOINT_STATE, ODOMETRY, POSE_KINDS
+from deepgps.robot_io.logs.pictures import KINDS as IMAGES
+from deepgps.robot_io.logs.pictures import RAW_IMAGE, decoder
+from deepgps.robot_io.logs.sample import Heard, Sample
 from deepgps.terminal.progress import Report
 from sim.errors import InputError, shorten
 
 FIRST_MESSAGES = 50  # Messages of a topic that are decoded
-IMAGES = (RAW_IMAGE, COMPRESSED_IMAGE)
 DECODED_TYPES = (JOINT_STATE, CAMERA_INFO, *IMAGES)
 DESCRIBED_TYPES = (*DECODED_TYPES, ODOMETRY, *POSE_KINDS)  # Types of which more is said than the number of messages
 SIDES = {"left": "right", "l": "r", "lh": "rh", "fl": "fr", "rl": "rr"}
@@ -39,33 +39,33 @@ class Seen(Heard):
         self.calibrated = False  # Whether there is a calibration that can be used
         self.size: tuple[int, ...] = ()  # Width and height of the first image [px]; empty: there is none
 
-    def take(self, sample: Sample, part: Part) -> None:
-        """Note the times of a message, and what the first ones say."""
-        super().take(sample, part)
-        if len(self.log_ns) <= FIRST_MESSAGES and self.kind in DECODED_TYPES:
+    def read(self, sample: Sample) -> tuple[float, ...] | None:
+        """Note what the first messages say."""
+        if len(self.log_ns) < FIRST_MESSAGES and self.kind in DECODED_TYPES:
             try:
-                self._take_details(part.decode(sample))
+                if said := self._describe(sample.decode()):
+                    self.details[said] = None
             except InputError as error:
                 self.details[f"cannot be used: {error}"] = None
+        return ()
 
-    def _take_details(self, message: Any) -> None:
+    def _describe(self, message: Any) -> str | None:
         if self.kind == JOINT_STATE:
             there = len(message.position) > 0
             self.names.update(dict.fromkeys(message.name if there else ()))
-            self.details[f"joints{'' if there else ' without positions'}: {', '.join(message.name)}"] = None
-        elif self.kind == CAMERA_INFO:
-            camera = read_info(message)
-            self.calibrated |= camera is not None
-            if camera is None:
-                self.details["not calibrated: K is 0"] = None
-            else:
-                numbers = ", ".join(f"{value:.6g}" for value in (*camera.focal, *camera.centre))
-                size = f"{camera.size[0]} x {camera.size[1]} px"
-                self.details[f"{camera.model}, {size}, fx fy cx cy {numbers}"] = None
-        elif not self.size:
-            height, width = decoder(self.kind)(message).shape[:2]
-            said = message.encoding if self.kind == RAW_IMAGE else f"format {message.format!r}"
-            self.details[f"{said}, {width} x {height} px"], self.size = None, (width, height)
+            return f"joints{'' if there else ' without positions'}: {', '.join(message.name)}"
+        if self.kind == CAMERA_INFO:
+            if (camera := read_info(message)) is None:
+                return "not calibrated: K is 0"
+            self.calibrated = True
+            numbers = ", ".join(f"{value:.6g}" for value in (*camera.focal, *camera.centre))
+            return f"{camera.model}, {camera.size[0]} x {camera.size[1]} px, fx fy cx cy {numbers}"
+        if self.size:
+            return None
+        height, width = decoder(self.kind)(message).shape[:2]
+        self.size = width, height
+        said = message.encoding if self.kind == RAW_IMAGE else f"format {message.format!r}"
+        return f"{said}, {width} x {height} px"
 
     def describe(self) -> list[str]:
         """Lines on the topic: its type, number of messages, rate, gaps, order, clock, and what they hold."""
@@ -95,32 +95,23 @@ def look(path: Path, progress: Report) -> str:
         lines = [f"{shorten(str(path), 300)}", *(f"note: {note}" for note in log.notes), ""]
         lines += [line for one in seen.values() for line in one.describe()]
     some = [one for one in seen.values() if one.log_ns]
-    wheels, camera, pose = _propose_wheels(some), _find_camera(some), _find_pose(some)
+    wheels, camera, pose = _find_wheels(some), _find_camera(some), _find_pose(some)
     verdict, clocks = _judge_clocks([one for one in (wheels, camera, pose) if one])
     proposed = [*_write_wheels(some, wheels), *_write_camera(some, camera)]
     proposed += ["pose:", f"  topic: {pose.topic}", "  use: truth"] if pose else []
     return "\n".join([*(f"# {line}".rstrip() for line in [*lines, "", *verdict, ""]), *proposed, f"clocks: {clocks}"])
 
 
-def _propose_wheels(seen: Sequence[Seen]) -> Seen | None:
+def _find_wheels(seen: Sequence[Seen]) -> Seen | None:
     """The joints with a left and a right one, of wheels, with most messages; otherwise the wheels' odometry."""
     joints = [one for one in seen if one.kind == JOINT_STATE and len(one.names) > 1]
-    own = [one for one in _list_odometries(seen) if not _is_of_other(one, seen)]
-    return max(
-        joints,
-        key=lambda one: (len(_pair_joints(one)) > 0, "wheel" in " ".join(one.names), len(one.log_ns)),
-        default=min(own, key=lambda one: (one.topic != "/odom", -len(one.log_ns)), default=None),
-    )
-
-
-def _list_odometries(seen: Sequence[Seen]) -> list[Seen]:
-    return [one for one in seen if one.kind == ODOMETRY]
-
-
-def _is_of_other(odometry: Seen, seen: Sequence[Seen]) -> bool:
-    """Whether an odometry comes from a camera or another sensor, by its name or its neighbours."""
-    places = {one.topic.rpartition("/")[0] for one in seen if one.kind in (*IMAGES, CAMERA_INFO)}
-    return bool(OTHER_ODOMETRY.search(odometry.topic)) or odometry.topic.rpartition("/")[0] in places - {""}
+    if joints:
+        return max(joints, key=lambda one: (bool(_pair_joints(one)), "wheel" in str(one.names), len(one.log_ns)))
+    # a camera's or another sensor's, by its name or its neighbours, is not of the wheels
+    cameras = {one.topic.rpartition("/")[0] for one in seen if one.kind in (*IMAGES, CAMERA_INFO)} - {""}
+    own = [one for one in seen if one.kind == ODOMETRY and one.topic.rpartition("/")[0] not in cameras]
+    own = [one for one in own if not OTHER_ODOMETRY.search(one.topic)]
+    return max(own, key=lambda one: (one.topic == "/odom", len(one.log_ns)), default=None)
 
 
 def _pair_joints(one: Seen) -> list[tuple[str, str]]:
@@ -130,32 +121,28 @@ def _pair_joints(one: Seen) -> list[tuple[str, str]]:
         words = re.split(r"([^a-zA-Z]+)", name)
         for place, word in enumerate(words):
             if side := SIDES.get(word.lower()):
-                other = re.escape("".join(words[:place])) + side + re.escape("".join(words[place + 1 :]))
-                pairs += [(name, match) for match in one.names if re.fullmatch(other, match, re.I)]
-    return sorted(pairs, key=lambda pair: not re.search("wh", pair[0], re.I))
+                other = "".join([*words[:place], side, *words[place + 1 :]]).lower()
+                pairs += [(name, match) for match in one.names if match.lower() == other]
+    return sorted(pairs, key=lambda pair: "wh" not in pair[0].lower())
 
 
 def _write_wheels(seen: Sequence[Seen], wheels: Seen | None) -> list[str]:
     """The lines on the wheels."""
-    lines = ["wheels:"]
+    lines, others = ["wheels:"], [one.topic for one in seen if one.kind == ODOMETRY and one is not wheels]
     if wheels is None:
         lines.append("  topic:  # no positions of joints and no odometry of wheels are in the log")
         for one in (one for one in seen if COUNTS.search(one.kind)):
             lines.append(f"  # {one.topic} may be an encoder's counts: write wheels.csv of a folder of plain files")
-        lines += [f"  # {one.topic} is no odometry of wheels alone" for one in _list_odometries(seen)]
+        lines += [f"  # {topic} is no odometry of wheels alone" for topic in others]
     elif wheels.kind == ODOMETRY:
-        others = ", ".join(one.topic for one in _list_odometries(seen) if one is not wheels)
-        lines.append(f"  topic: {wheels.topic}  # it must be of the wheels alone" + f", not {others}" * bool(others))
+        lines.append(
+            f"  topic: {wheels.topic}  # it must be of the wheels alone" + f", not {', '.join(others)}" * bool(others)
+        )
     else:
-        lines.append(f"  topic: {wheels.topic}")
-        pairs = _pair_joints(wheels)
-        if list(wheels.names) == plain_folder.JOINTS:
-            lines += ["  left: left", "  right: right"]
-        elif pairs:
-            more = f"  # or {', '.join(left for left, _ in pairs[1:])}" if len(pairs) > 1 else ""
-            lines += [f"  left: {pairs[0][0]}{more}", f"  right: {pairs[0][1]}"]
-        else:
-            lines += [f"  {side}:  # one of {', '.join(wheels.names)}" for side in ("left", "right")]
+        pairs, names = _pair_joints(wheels), ", ".join(wheels.names)
+        more = f"  # or {', '.join(left for left, _ in pairs[1:])}" if len(pairs) > 1 else ""
+        sides = (f" {pairs[0][0]}{more}", f" {pairs[0][1]}") if pairs else (f"  # one of {names}",) * 2
+        lines += [f"  topic: {wheels.topic}", f"  left:{sides[0]}", f"  right:{sides[1]}"]
     return [
         *lines,
         "  radius_m:  # of the wheels: measure it (TurtleBot3: 0.033)",
@@ -167,15 +154,9 @@ def _write_wheels(seen: Sequence[Seen], wheels: Seen | None) -> list[str]:
 def _write_camera(seen: Sequence[Seen], camera: Seen | None) -> list[str]:
     """The lines on the camera."""
     topic = camera.topic if camera else " # no Image or CompressedImage is in the log"
-    lines = ["camera:", f"  topic: {topic}"]
-    infos = [one for one in seen if one.kind == CAMERA_INFO and one.calibrated]
-
-    def share(one: Seen) -> int:
-        same = [a == b for a, b in zip(one.topic.split("/"), (camera or one).topic.split("/"), strict=False)]
-        return (same + [False]).index(False)
-
+    lines, infos = ["camera:", f"  topic: {topic}"], [one.topic for one in seen if one.calibrated]
     if infos:
-        lines.append(f"  info: {max(infos, key=share).topic}")
+        lines.append(f"  info: {max(infos, key=lambda info: len({*info.split('/')} & {*topic.split('/')}))}")
     else:
         most = f", at most {min(camera.size) // 2}" if camera and camera.size else ""
         lines.append(f"  circle_px:  # no calibration can be used: radius of the round picture{most}, or give file")
@@ -192,7 +173,7 @@ def _find_camera(seen: Sequence[Seen]) -> Seen | None:
 def _find_pose(seen: Sequence[Seen]) -> Seen | None:
     """A topic of poses that does not come from the wheels."""
     some = [one for one in seen if one.kind in POSE_KINDS[:3] and len(one.log_ns) > 1]
-    often = [one for one in some if np.median(np.diff(sorted(one.log_ns))) <= GAP_S * 1e9]
+    often = [one for one in some if np.median(np.diff(sorted(one.log_ns))) <= POSE_GAP_S * 1e9]
     return max(often, key=lambda one: len(one.log_ns), default=None)  # a goal is sent seldom
 
 

@@ -88,16 +88,14 @@ def plan_recording(driven: Driven, some: range, images: Images, spacing_m: float
 
 def judge_turn(driven: Driven, between: range) -> int:
     """Number of the kind of turn that motions between two segments are together."""
-    distance = turned = 0.0
-    for one in (driven.motions[number] for number in between):
-        if one.kind == "unknown" and driven.wheels.broken[one.first : one.last].any():
-            return RELOCATED
-        if one.kind not in {"rest", "turn"}:
-            distance += driven.path.measure(one)
-            turned += abs(driven.path.turn(one)) if one.kind != "back" else 0.0
+    moves = [one for one in (driven.motions[number] for number in between) if one.kind not in {"rest", "turn"}]
+    distance = sum(map(driven.path.measure, moves))
+    turned = sum(abs(driven.path.turn(one)) for one in moves if one.kind != "back")
+    if any(one.kind == "unknown" for one in moves) or distance > NEIGHBOURHOOD_M:
+        return RELOCATED
     if distance <= MAX_SHIFT_M:
         return IN_PLACE
-    return BACKED_OFF if distance <= NEIGHBOURHOOD_M and turned * distance < MAX_SHIFT_M else RELOCATED
+    return BACKED_OFF if turned * distance < MAX_SHIFT_M else RELOCATED
 
 
 def _choose(driven: Driven, number: int, images: Images, spacing_m: float) -> np.ndarray:
@@ -112,11 +110,11 @@ def _choose(driven: Driven, number: int, images: Images, spacing_m: float) -> np
         return rows
     place = np.maximum.accumulate(images.path.travelled_m[rows])
     target = np.arange(place[0], place[-1], spacing_m)
-    after = np.minimum(np.clip(np.searchsorted(place, target), 1, None), len(place) - 1)
-    nearer = np.where(target - place[after - 1] < place[after] - target, after - 1, after)
-    nearer[:1] = np.searchsorted(place, place[0] + MATCH_M / 3) - 1  # at rest, the latest
-    kept = np.unique(np.append(nearer[place[-1] - place[nearer] >= MIN_SPACING_SHARE * spacing_m], len(place) - 1))
-    return rows[kept]
+    target[:1] += MATCH_M / 3  # at rest, the latest
+    nearest = np.searchsorted((place[1:] + place[:-1]) / 2, target)
+    return rows[
+        np.unique(np.append(nearest[place[-1] - place[nearest] >= MIN_SPACING_SHARE * spacing_m], len(place) - 1))
+    ]
 
 
 def _find_span(driven: Driven, number: int, images: Images) -> np.ndarray:
@@ -145,35 +143,25 @@ def _is_near(driven: Driven, number: int, end: int, images: Images, row: int) ->
 
 MIN_COVERED_SHARE = 0.95
 """Part of the drive that images must cover, and part of the images that must be taken during it; else it is noted."""
-GAP_S, GAP_FACTOR = 1.0, 5.0
-"""Time between two images in which the drive is not seen [s], if it is also this multiple of the usual time."""
+GAP_S = 1.0  # Time between two images in which the drive is not seen [s]
 MIN_REACH = 0.9  # Part of the polar image's angle that the camera must see all around; otherwise it is noted
 OTHER_MOTIONS = {"arc": "arcs", "back": "backward motions", "rest": "rests", "unknown": "gaps"}
 """Kinds of motion that hold neither segments nor turns, and their names in the plural."""
 
 
 def note_cover(topic: str, drive: LoggedDrive) -> list[str]:
-    """Notes if images are missing in a part of the drive, which is not used, or were taken outside of it."""
+    """A note if images are missing in a part of the drive, which is not used, or were taken outside of it."""
     begin_s, end_s = drive.driven.wheels.time_s[[0, -1]]
     image_s = np.sort(drive.image_s[np.isfinite(drive.image_s)])
     seen_s = image_s[(image_s >= begin_s) & (image_s <= end_s)]
-    if not len(seen_s):
+    step = np.diff(seen_s, prepend=begin_s, append=end_s)
+    covered_s, outside = float(step[step <= GAP_S].sum()), len(image_s) - len(seen_s)
+    if covered_s >= MIN_COVERED_SHARE * (end_s - begin_s) and len(seen_s) >= MIN_COVERED_SHARE * len(image_s):
         return []
-    notes, step = [], np.diff(seen_s)
-    gap = step > max(GAP_S, GAP_FACTOR * float(np.median(step)) if len(step) else 0.0)
-    covered_s = float(step[~gap].sum())
-    if covered_s < MIN_COVERED_SHARE * (end_s - begin_s):
-        longest = f", without {step.max():.0f} s from {seen_s[np.argmax(step)]:.1f} s on" if gap.any() else ""
-        notes.append(
-            f"{topic}: images cover {covered_s:.0f} of {end_s - begin_s:.0f} s of the drive, from {seen_s[0]:.1f} to "
-            f"{seen_s[-1]:.1f} s{longest}; the rest is not used"
-        )
-    if len(seen_s) < MIN_COVERED_SHARE * len(image_s):
-        notes.append(
-            f"{topic}: {len(image_s) - len(seen_s)} of {len(image_s)} images were taken before or after the wheels "
-            "were logged, and are left out"
-        )
-    return notes
+    return [
+        f"{topic}: images cover {covered_s:.0f} of {end_s - begin_s:.0f} s of the drive, at most {step.max():.0f} s in "
+        f"a row are missing, and {outside} of {len(image_s)} images were taken before or after it; the rest is not used"
+    ]
 
 
 def note_reach(source: PolarSource) -> list[str]:
@@ -223,10 +211,8 @@ def describe(config: RobotConfig, source: PolarSource, drive: LoggedDrive, train
         "turns": {name: int((kind == number).sum()) for number, name in enumerate(KINDS)},
         "turns_seen": len(train.turn_image),
         "left_out": {
-            name: dict(
-                zip(("count", "seconds", "metres"), map(round, drive.driven.sum_up(name), (0, 1, 2)), strict=True)
-            )
-            for name in OTHER_MOTIONS
+            name: {"count": count, "seconds": round(seconds, 1), "metres": round(metres, 2)}
+            for name, (count, seconds, metres) in ((name, drive.driven.sum_up(name)) for name in OTHER_MOTIONS)
         },
     }
 

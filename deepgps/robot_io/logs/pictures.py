@@ -139,11 +139,11 @@ def open_images(log: Log, topic: str) -> ImageList:
 def take_images(log: Log, topic: str, wanted: Collection[int]) -> Iterator[tuple[int, np.ndarray | InputError]]:
     """Numbers and pixels (height, width, 3) uint8 RGB of some images of a topic, or why one cannot be decoded."""
     decode, last = decoder(log.types[topic]), max(wanted, default=-1)
-    for number, (sample, part) in enumerate(log.read([topic])):
+    for number, sample in enumerate(log.read([topic])):
         if number > last:
             return
         if number in wanted:
             try:
-                yield number, decode(part.decode(sample))
+                yield number, decode(sample.decode())
             except InputError as error:
                 yield number, error

@@ -1,11 +1,10 @@
 """A message of a log, a part of a log, and errors of those who read them in one line."""
 
 from array import array
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from sim.errors import InputError, WorkError, one_line, shorten
 
@@ -19,36 +18,44 @@ class Sample(NamedTuple):
     topic: str  # Its topic
     log_ns: int  # When it was logged, by the recorder's clock [ns]
     stamp_ns: int  # Its header's stamp, by the clock of who sent it [ns]; 0: it has none
-    data: Any  # The message as it is stored, for ``Part.decode``
+    decode: Callable[[], Any]  # Gives the message with its fields; raises InputError if it is damaged
 
 
-class Part(Protocol):
+class Part(NamedTuple):
     """A part of a log."""
 
-    types: dict[str, str]  # Type of each topic, such as ``sensor_msgs/msg/JointState``
-    counts: dict[str, int]  # Number of messages of each topic where an index tells it
-
-    def read(self, topics: Collection[str]) -> Iterator[Sample]:
-        """The messages of some topics."""
-        ...
-
-    def decode(self, sample: Sample) -> Any:
-        """The message with its fields; raises InputError if it is damaged."""
-        ...
+    path: Path  # Its file or folder
+    types: Mapping[str, str]  # Type of each topic, such as ``sensor_msgs/msg/JointState``
+    counts: Mapping[str, int]  # Number of messages of each topic where an index tells it
+    read: Callable[[Collection[str]], Iterator[Sample]]  # Gives the messages of some topics
 
 
-@dataclass
 class Heard:
-    """Times of a topic's messages, in the order of the files."""
+    """The messages of a topic, in the order of the files: their times, and numbers that they hold.
 
-    topic: str  # The topic
-    log_ns: array = field(default_factory=lambda: array("q"), init=False)  # When each was logged (n,) [ns]
-    stamp_ns: array = field(default_factory=lambda: array("q"), init=False)  # Its stamp (n,) [ns]; 0: none
+    Attributes:
+        topic: The topic.
+        log_ns: When each was logged (n,) [ns].
+        stamp_ns: Its stamp (n,) [ns]; 0: none.
+        without: Number of messages that hold no such numbers, and are left out.
+    """
 
-    def take(self, sample: Sample, part: Part) -> None:
-        """Note the times of a message."""
+    def __init__(self, topic: str) -> None:
+        self.topic, self.log_ns, self.stamp_ns, self.without = topic, array("q"), array("q"), 0
+        self._values = array("d")
+
+    def take(self, sample: Sample) -> None:
+        """Note the times of a message, and its numbers if it holds any."""
+        if (values := self.read(sample)) is None:
+            self.without += 1
+            return
+        self._values.extend(values)
         self.log_ns.append(sample.log_ns)
         self.stamp_ns.append(sample.stamp_ns)
+
+    def read(self, sample: Sample) -> tuple[float, ...] | None:
+        """The numbers that are kept of a message; None: it holds none."""
+        return ()
 
 
 @contextmanager

@@ -117,7 +117,7 @@ def _judge(wheels: Wheels, path: Path, track_m: float) -> np.ndarray:
     rim = np.abs(rate) * track_m / 2
     return np.select(
         [
-            wheels.broken | wheels.gap,
+            wheels.broken,
             (np.abs(speed) < REST_MPS) & (rim < REST_MPS),
             rim > 2 * np.abs(speed),
             speed < 0,

@@ -17,7 +17,7 @@ def make_wheels(ticks: int, period_s: float, rounding: Any = np.floor) -> tuple[
     time_s = np.arange(0.0, motion.time_s[-1], period_s)
     true = np.column_stack([np.interp(time_s, motion.time_s, wheel) for wheel in motion.angle.T])
     none = np.zeros(len(time_s) - 1, bool)
-    return Wheels(time_s, rounding(true / tick) * tick, none, none), true
+    return Wheels(time_s, rounding(true / tick) * tick, none), true
 
 
 def test_angles_between_counts_are_closer_to_the_true_ones():
@@ -34,7 +34,7 @@ def test_fine_encoders_and_wheels_that_never_turn_stay_as_they_are():
     for ticks in (1024, 4096):
         wheels, _ = make_wheels(ticks, 0.05)
         np.testing.assert_array_equal(fill_counts(wheels, "wheels").angle, wheels.angle)
-    still = Wheels(wheels.time_s, np.zeros_like(wheels.angle), wheels.broken, wheels.gap)
+    still = Wheels(wheels.time_s, np.zeros_like(wheels.angle), wheels.broken)
     assert not fill_counts(still, "wheels").angle.any()
 
 

@@ -7,7 +7,7 @@ import pytest
 import yaml
 from mcap.writer import Writer
 
-from deepgps.robot_io.logs.containers import FilePart, open_log
+from deepgps.robot_io.logs.containers import open_log
 from deepgps.robot_io.logs.sample import explained
 from sim.errors import InputError
 from tests.helpers.robot_log import JOINTS, START_NS, Note, make_notes, write_log
@@ -23,8 +23,8 @@ def read_all(log: Path) -> tuple[list[int], tuple[str, ...]]:
     """Times of logging of all messages, and what is noted; each is decoded."""
     with open_log(log) as opened:
         samples = list(opened.read(list(opened.types)))
-        assert all(part.decode(sample) is not None for sample, part in samples)
-        return sorted(sample.log_ns for sample, _ in samples), opened.notes
+        assert all(sample.decode() is not None for sample in samples)
+        return sorted(sample.log_ns for sample in samples), (*opened.notes,)
 
 
 def check_refused(log: Path, message: str) -> None:
@@ -88,18 +88,17 @@ def test_split_files_in_a_folder_are_one_log(notes: list[Note], tmp_path: Path) 
     (tmp_path / "._drive_0.mcap").write_bytes(b"\0\5\x16\7 of macOS")
     assert read_all(tmp_path)[0] == sorted(one.log_ns for one in notes)
     with open_log(tmp_path) as log:
-        files = [part.file.name for part in log.parts if isinstance(part, FilePart)]
+        files = [part.path.name for part in log.parts]
     assert files == [f"drive_{number}.mcap" for number in range(11)]
 
 
-def test_a_bad_definition_spoils_its_topic_only(tmp_path: Path) -> None:
+def test_a_bad_definition_spoils_nothing(tmp_path: Path) -> None:
     with (tmp_path / "log.mcap").open("wb") as file:
         writer = Writer(file)
         writer.start(profile="ros2", library="test")
         for topic, kind, text in (
-            ("/good", "a_msgs/msg/Good", "int32 x"),
             ("/service", "a_msgs/srv/Odd_Event", "int64 a\n---\nint64 b"),
-            ("/lacking", "a_msgs/msg/Whole", "a_msgs/Part part"),
+            ("/lacking", "std_msgs/msg/Int32", "a_msgs/Part part"),
             ("/standard", "std_msgs/msg/Int32", ""),
         ):
             schema = writer.register_schema(kind, "ros2msg", text.encode())
@@ -107,13 +106,9 @@ def test_a_bad_definition_spoils_its_topic_only(tmp_path: Path) -> None:
             writer.add_message(channel, 1, b"\0\1\0\0\7\0\0\0", 1)
         writer.finish()
     with open_log(tmp_path / "log.mcap") as log:
-        assert log.notes == (
-            "/service is left out: the definition of a_msgs/srv/Odd_Event cannot be parsed",
-            "/lacking is left out: the definition of a_msgs/msg/Whole cannot be parsed",
-        )
-        read = {sample.topic: part.decode(sample) for sample, part in log.read(list(log.types))}
-        assert (read["/good"].x, read["/standard"].data) == (7, 7) and len(read) == 2
-        with pytest.raises(InputError, match=r"wheels\.topic /service: the definition of .* cannot be parsed"):
+        assert len(list(log.read(list(log.types)))) == 3
+        assert [sample.decode().data for sample in log.read(["/lacking", "/standard"])] == [7, 7]
+        with pytest.raises(InputError, match=r"wheels\.topic /service: its type is a_msgs/srv/Odd_Event, and must be"):
             log.check_topic("/service", "wheels.topic", ["sensor_msgs/msg/JointState"])
 
 

@@ -131,14 +131,14 @@ def times_of(folder: Path, names: Sequence[str], listed: Sequence[str] = (), whe
         rows = [f"{time},{name}.png" for time, name in zip(listed, names, strict=True)]
         (folder / "images.csv").write_text("\n".join(["time_s,file", *rows]))
     with open_log(folder) as log:
-        return [sample.stamp_ns for sample, _ in log.read(list(log.types))]
+        return [sample.stamp_ns for sample in log.read(list(log.types))]
 
 
 def test_a_plain_file_that_cannot_be_read_is_named_with_its_line(tmp_path: Path) -> None:
     for rows, message in (
         ("0.0,0.0,one\n0.1", r"wheels\.csv: line 2 must be time_s,left_rad"),
-        ("0.1,0,0\n\udcff" + "0" * 9000, r"wheels\.csv must be text in UTF-8: after line \d+"),
-        ("0.1,0,0\n" + "1" * 140_000, r"wheels\.csv: line \d+: field larger"),
+        ("0.1,0,0\n\udcff" + "0" * 9000, r"wheels\.csv: after line \d+: .utf-8. codec"),
+        ("0.1,0,0\n" + "1" * 140_000, r"wheels\.csv: after line \d+: field larger"),
     ):
         with pytest.raises(InputError, match=message):
             times_of(tmp_path / "log", ["1.5"], wheels=rows)
@@ -149,7 +149,7 @@ def test_images_are_named_by_times_and_not_by_numbers_or_in_another_unit(tmp_pat
     assert times_of(tmp_path / "log", [f"{17 * 10**17 + n}" for n in range(3)])[:2] == [17 * 10**17, 17 * 10**17 + 1]
     assert times_of(tmp_path / "log", ["a", "b"], ["1700000000.000000001", "2"])[0] == 2 * 10**9
     for first, step in ((0, 1), (1, 1), (0, 7)):
-        with pytest.raises(InputError, match=r"named by their numbers, 00000\d to 0000\d+, which are no times"):
+        with pytest.raises(InputError, match=r"named by numbers such as 0000\d\d, which are no times"):
             times_of(tmp_path / "log", [f"{first + step * number:06d}" for number in range(9)])
     for unit in (1e3, 1e6, 1e9):
         late = f"{1.7e9 * unit:.0f}"
@@ -234,9 +234,17 @@ def test_habits_of_real_robots_change_nothing(notes: list[Note], tmp_path: Path)
 
 
 NOTED_CHANGES: dict[str, tuple[Change, dict[str, Any], str]] = {
-    "wheels lost": (lose(JOINTS, 1.4, 3.18), {}, r"/joint_states at 1\..* no message for 1\.9 s while the robot moved"),
-    "counter restarts": (restart, {}, r"/joint_states at 13\.9.* the counter restarted"),
-    "camera fails": (lose(CAMERA, 12.0, 18.0), {}, r"images cover 27 of 33 s of the drive, .* 6 s from 1[12]\.\d s on"),
+    "wheels lost": (
+        lose(JOINTS, 1.4, 3.18),
+        {},
+        r"/joint_states: at 1\..* no message for 1\.9 s while the robot moved",
+    ),
+    "counter restarts": (restart, {}, r"/joint_states: at 13\.9.* the counter restarted"),
+    "camera fails": (
+        lose(CAMERA, 12.0, 18.0),
+        {},
+        r"images cover 27 of 33 s of the drive, at most 6 s in a row are missing",
+    ),
     "frozen": (freeze, {}, "images do not turn.*is the camera frozen or covered there"),
     "view": (
         lambda notes: notes,
