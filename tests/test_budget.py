@@ -5,9 +5,9 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "lines of sim and deepgps": 40_885,
+    "lines of sim and deepgps": 40_895,
     "files of sim and deepgps": 282,
-    "lines of tests": 28_345,
+    "lines of tests": 28_351,
     "Python files directly in deepgps": 2,
     "words of decisions": 6_030,
     "words of all other pages by hand": 18_855,

@@ -27,6 +27,8 @@ class StudyArguments:
     nothing."""
     full: bool = False
     """Run the study's long version, if it has one."""
+    networks: bool = False
+    """Train the study's networks, too, beside the methods that need no training."""
     engine: Literal["local", "ray"] = "local"
     """local: processes of this machine; ray: tasks of a Ray cluster, which needs the extra deepgps[ray]."""
     address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None
@@ -49,7 +51,7 @@ def study_command(words: Sequence[str]) -> None:
         raise InputError(f"deepgps study needs a study first: {', '.join(names_in(STUDIES))}, or a path")
     arguments = parse(StudyArguments, "study", words, study_command.__doc__)
     load_plugins(arguments.plugin)
-    study = load_study(arguments.study, arguments.tiny, arguments.full)
+    study = load_study(arguments.study, arguments.tiny, arguments.full, arguments.networks)
     with show_progress(errors, quiet_s=2.0) as progress:
         plans = plan_runs(study, progress)
     # These import torch and matplotlib, which takes longer than checking a study.

@@ -61,6 +61,8 @@ class Study(Variation):
     letters than a name may hold."""
     scenario: str
     """A name in assets/scenarios, or the path of a YAML file, relative to the study's own folder."""
+    networks: tuple[MethodName, ...] = ()
+    """Methods that train a network, which --networks adds to the methods."""
     report: ReportName = "plain"
     """How the table is reported (deepgps/studies/catalog.py). plain: rows as they are; rooms: means, and which method
     wins; compare: means over seeds for everything else that varies; curves: errors along the last axis, the default if
@@ -116,10 +118,11 @@ class Study(Variation):
         return self
 
 
-def load_study(source: str, tiny: bool, full: bool = False) -> Study:
+def load_study(source: str, tiny: bool, full: bool = False, networks: bool = False) -> Study:
     """Read a study, in assets/studies or at a path, as it is or in the small or long version that its file describes.
 
-    Raises InputError; the message names every wrong field, its value and what is allowed.
+    With ``networks``, it also trains those of its file. Raises InputError; the message names every wrong field, its
+    value and what is allowed.
     """
     if tiny and full:
         raise InputError("--tiny and --full exclude each other")
@@ -130,16 +133,20 @@ def load_study(source: str, tiny: bool, full: bool = False) -> Study:
         raise InputError(f"{shorten(str(path), 300)}: {describe_problems(error, Study)}") from None
     if full and study.full is None:
         raise InputError(f"study {study.name} has no long version: --full takes what a study's full describes")
+    if networks and not study.networks:
+        raise InputError(f"study {study.name} has no further methods: --networks takes what a study's networks lists")
     if full and study.full:
         study = _replace(study, study.full, "full")
     if tiny:  # targets say nothing about so small a study
         study = _replace(study, study.tiny, "tiny").model_copy(update={"target": {}, "paper": {}})
+    if networks:
+        study = study.model_copy(update={"methods": (*(study.methods or ()), *study.networks)})
     return _seek_scenarios(study, path.parent)
 
 
 def write_out(study: Study) -> str:
     """The resolved study as YAML."""
-    return yaml.safe_dump(study.model_dump(mode="json", exclude={"tiny", "full"}), sort_keys=False)
+    return yaml.safe_dump(study.model_dump(mode="json", exclude={"tiny", "full", "networks"}), sort_keys=False)
 
 
 def _are_numbers(axes: Sequence[Any]) -> bool:

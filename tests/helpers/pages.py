@@ -114,7 +114,7 @@ def check_command(words: Sequence[str], place: str, finished: Path) -> None:
             parse_scenario(name, words, None)
         elif name == "study":
             arguments = parse(COMMANDS[name].find(COMMANDS[name].arguments), name, words, None)
-            plan_runs(load_study(arguments.study, arguments.tiny, arguments.full), ignore)
+            plan_runs(load_study(arguments.study, arguments.tiny, arguments.full, arguments.networks), ignore)
         else:
             parse(COMMANDS[name].find(COMMANDS[name].arguments), name, words, None)
     else:

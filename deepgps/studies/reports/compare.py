@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from deepgps.config.methods import title_of
 from deepgps.studies.reports.record import (
     ACCEPTED_ERRORS,
     CHOICES,
@@ -56,14 +57,14 @@ def find_curves(rows: Sequence[Row], varied: Sequence[str]) -> list[Row]:
             **{**row, "axis": row[axis], "axis_title": AXES.get(axis, axis), "axis_name": axis},
             **{"case": describe(row, names) if names else "", "at_end": row[axis] == last},
             "relative_median": row["median_m"] / row["shorter_side_m"],
-            "paper_rms_m": PAPER_RMS.get(axis, {}).get(row[axis]) if row["method"] == "deepgps" else None,
+            "paper_rms_m": PAPER_RMS.get(axis, {}).get(row[axis]),
             "paper_bound_m": PAPER_SHARE[axis] * row["shorter_side_m"] if axis in PAPER_SHARE else None,
         }
         for row in rows
     ]
-    ours = split_by([row for row in prepared if row["method"] == "deepgps"], "case")
-    knees = {case: find_knee(curve, axis) for case, curve in ours.items()}
-    return [{**row, "knee": knees.get(row["case"]) if row["method"] == "deepgps" else None} for row in prepared]
+    curves = split_by_label(prepared, lambda row: (row["method"], row["case"]))
+    knees = {key: find_knee(curve, axis) for key, curve in curves.items()}
+    return [{**row, "knee": knees[row["method"], row["case"]]} for row in prepared]
 
 
 def find_knee(curve: Sequence[Row], axis: str) -> float | None:
@@ -80,12 +81,13 @@ def find_knee(curve: Sequence[Row], axis: str) -> float | None:
 
 
 def tell_knees(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
-    """A sentence for each curve of DeepGPS that has a knee."""
+    """A sentence for each curve that has a knee."""
     known = [row for row in rows if row["knee"] is not None]
+    curves = split_by_label(known, lambda row: (row["case"], row["axis_name"], row["method"], row["knee"]))
     return [
-        f"The knee{f' of {case}' if case else ''}: {name} {knee:g}, the smallest value from which the RMS of DeepGPS "
-        f"(mean over seeds) stays within {KNEE} times that at {max(row['axis'] for row in rows):g}."
-        for case, name, knee in split_by_label(known, lambda row: (row["case"], row["axis_name"], row["knee"]))
+        f"The knee{f' of {case}' if case else ''}: {name} {knee:g}, the smallest value from which the RMS of "
+        f"{title_of(method)} (mean over seeds) stays within {KNEE} times that at {max(row['axis'] for row in rows):g}."
+        for case, name, method, knee in curves
     ]
 
 
@@ -115,13 +117,13 @@ def _list_targets_of_strategies() -> list[Target]:
 
 def _list_targets_of_curves() -> list[Target]:
     words = {"rms_m": "RMS", "relative_rms": "RMS / side", "relative_median": "median / side"}
-    end = {"method": "deepgps", "at_end": True}
+    end, per = {"at_end": True}, "method"
     return [
         *(
-            Target(name, f"{title} at {{axis_name}} {{axis:g}}", name, end, each="case")
-            for name, title in words.items()
+            Target(f"{{method}}_{of}", f"{{label}}, {title} at {{axis_name}} {{axis:g}}", of, end, each="case", per=per)
+            for of, title in words.items()
         ),
-        Target("knee", "knee of {axis_name}", "knee", each="case", unit="count"),
+        Target("{method}_knee", "{label}, knee of {axis_name}", "knee", each="case", per=per, unit="count"),
     ]
 
 

@@ -23,6 +23,8 @@ TITLES: dict[Names, str] = {
     **{tuple(f"encoder.{name}" for name in fault.settings): fault.title for fault in FAULTS},
     (WHEEL_ERROR,): "left wheel larger by this part: the robot curves",
 }
+PAIRS = (("registration_distances", "registration"), ("deepgps", "deepgps_compass"))
+"""Methods on a map by distances alone and, with the same estimator, by compass."""
 NEARNESS_M = (0.02, 0.05)  # Errors that count as good enough, for two kinds of builders [m]
 GOOD_SHARE = 0.8  # The part of the test positions whose errors must be good enough
 NOTE = (
@@ -119,28 +121,25 @@ def _list_targets() -> list[Target]:
         return {"method": method, "sweep": TITLES[setting,], "value": value}
 
     targets = []
-    method, ignorant = "deepgps", title_of("deepgps")
-    perfect = select(method, TICKS, FAULTLESS_VALUES[TICKS])
-    targets.append(Target("rms_w", f"RMS at w = 0.10, {ignorant}", "rms_m", select(method, NOISE, 0.1)))
-    for ticks in (16, 4):
-        words = f"RMS at {ticks} ticks / perfect, {ignorant}"
-        targets.append(Target(f"ticks_{ticks}", words, "rms_m", select(method, TICKS, ticks), perfect))
-    method = "deepgps_compass"
-    title = title_of(method)
-    for key, setting, value in (("w", NOISE, 0.3), ("radius", RADIUS, 0.01), ("slip", SLIP, 0.1)):
-        ours, theirs = (select(name, setting, value) for name in (method, "deepgps"))
-        words = f"{title}: RMS / {ignorant}'s, {TITLES[setting,]} {value:g}"
-        targets.append(Target(f"compass_{key}", words, "rms_m", ours, theirs))
-    stuck, straight = select(method, STUCK_FRACTION, 0.5), select(method, WHEEL_ERROR, 0.0)
-    words = f"{title}: RMS, one encoder stuck for half of the drive"
-    targets.append(Target("compass_stuck_rms_m", words, "rms_m", stuck))
-    words = f"{title}: maps folded of {{count}}, one encoder stuck for half of the drive"
-    targets.append(Target("compass_stuck_folded", words, "folded:count", stuck))
-    for value in (0.01, 0.03):
-        name, words = f"compass_curves_{100 * value:g}", f"left wheel larger by {100 * value:g} %"
-        words = f"{title}: median / without faults, {words}"
-        curved = select(method, WHEEL_ERROR, value)
-        targets.append(Target(name, words, "median_m", curved, straight))
+    for alone, compass in PAIRS:
+        perfect, title = select(alone, TICKS, FAULTLESS_VALUES[TICKS]), title_of(alone)
+        targets.append(Target(f"{alone}_rms_w", f"{title}: RMS at w = 0.10", "rms_m", select(alone, NOISE, 0.1)))
+        for ticks in (16, 4):
+            words = f"{title}: RMS at {ticks} ticks / perfect"
+            targets.append(Target(f"{alone}_ticks_{ticks}", words, "rms_m", select(alone, TICKS, ticks), perfect))
+        for key, setting, value in (("w", NOISE, 0.3), ("radius", RADIUS, 0.01), ("slip", SLIP, 0.1)):
+            ours, theirs = (select(name, setting, value) for name in (compass, alone))
+            words = f"{title_of(compass)}: RMS / {title}'s, {TITLES[setting,]} {value:g}"
+            targets.append(Target(f"{compass}_{key}", words, "rms_m", ours, theirs))
+        title, straight = title_of(compass), select(compass, WHEEL_ERROR, 0.0)
+        stuck, words = select(compass, STUCK_FRACTION, 0.5), "one encoder stuck for half of the drive"
+        targets.append(Target(f"{compass}_stuck_rms_m", f"{title}: RMS, {words}", "rms_m", stuck))
+        words = f"{title}: maps folded of {{count}}, {words}"
+        targets.append(Target(f"{compass}_stuck_folded", words, "folded:count", stuck))
+        for value in (0.01, 0.03):
+            words = f"{title}: median / without faults, left wheel larger by {100 * value:g} %"
+            curved = select(compass, WHEEL_ERROR, value)
+            targets.append(Target(f"{compass}_curves_{100 * value:g}", words, "median_m", curved, straight))
     return targets
 
 

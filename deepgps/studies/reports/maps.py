@@ -7,7 +7,7 @@ import numpy as np
 
 from deepgps.studies.reports.compare import COMPARE
 from deepgps.studies.reports.compare import NOTE as COMPARE_NOTE
-from deepgps.studies.reports.paper import compare_with_posenet
+from deepgps.studies.reports.paper import OUR_METHODS, compare_with_posenet
 from deepgps.studies.reports.record import (
     CHOICES,
     ERRORS,
@@ -149,13 +149,13 @@ def _list_targets_of_seeds() -> list[Target]:
 
 
 def _list_targets_of_corridors() -> list[Target]:
-    exact, nearest = {"method": "deepgps_compass", NOISE: (None, 0)}, "least RMS of the nearest neighbour, of {count}"
-    over, unsaid = "PoseNet's, median over worlds", "{label}: maps wrong and not said to be, of {count}"
+    exact, ours = {"method": OUR_METHODS, NOISE: (None, 0)}, {"method": OUR_METHODS}
+    nearest, over = "least RMS of the nearest neighbour, of {count}", "PoseNet's, median over worlds"
+    unsaid = "{label}: maps wrong and not said to be, of {count}"
     return [
-        Target("compass_rms_ratio", f"RMS / {over}", "rms_m_ratio:median", exact),
-        Target("compass_median_ratio", f"median / {over}", "median_m_ratio:median", exact),
-        Target("compass_unsaid", unsaid, "wrong_unsaid:count", {"method": "deepgps_compass"}),
-        Target("deepgps_unsaid", unsaid, "wrong_unsaid:count", {"method": "deepgps"}),
+        Target("{method}_rms_ratio", f"{{label}}: RMS / {over}", "rms_m_ratio:median", exact, per="method"),
+        Target("{method}_median_ratio", f"{{label}}: median / {over}", "median_m_ratio:median", exact, per="method"),
+        Target("{method}_unsaid", unsaid, "wrong_unsaid:count", ours, per="method"),
         Target("aliased_rms_m", nearest, "rms_m", {"method": "knn"}, each="recording", at_least=True),
     ]
 

@@ -18,7 +18,12 @@ from deepgps.studies.reports.record import (
 from deepgps.studies.reports.render import add_base
 from deepgps.studies.table import LEVELS, Row, split_by, split_by_label
 
-OUR_METHODS = ("deepgps_compass", "deepgps")  # Methods whose wins are counted, each over those that are not before it
+OUR_METHODS = (
+    "registration",
+    "registration_distances",
+    "deepgps_compass",
+    "deepgps",
+)  # Methods whose wins are counted, each over those that are not before it
 ROOMS_NOTE = (
     f"{GRID}Seen: share of positions within 0.25 m of a training image. Flipped: share of neighbourhoods that the map "
     "flips. Base: PoseNet."
@@ -69,14 +74,9 @@ LAB_NOTE = (
 
 
 def compare_with_posenet(rows: Sequence[Row], varied: Sequence[str]) -> list[Row]:
-    """Rows with PoseNet's errors on the same recording as base, and the names of their figures."""
-    prepared = []
-    for row in add_base(rows, {"method": "posenet"}, ["recording"]):
-        base, own = row["base_rms_m"], row["method"] == "deepgps"
-        names = ("", "") if own else (f"{row['method']}_", f"{title_of(row['method'])}, ")
-        won = None if base is None else row["rms_m"] < base
-        prepared.append({**row, "won": won, "prefix": names[0], "who": names[1]})
-    return prepared
+    """Rows with PoseNet's errors on the same recording as base, where it was trained."""
+    based = add_base(rows, {"method": "posenet"}, ["recording"])
+    return [{**row, "won": None if (base := row["base_rms_m"]) is None else row["rms_m"] < base} for row in based]
 
 
 def count_wins(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
@@ -149,20 +149,19 @@ def _name_errors(prefix: str = "") -> str:
 
 
 def _list_targets_of_rooms() -> list[Target]:
-    ours, per = {"method": OUR_METHODS}, "method"
-    means = {"rms_m": "RMS", "median_m": "median", "p95_m": "p95", "max_m": "max"}
-    medians = {"rms_accepted_m": "RMS of accepted", "max_accepted_m": "max of accepted"}
+    ours, per, middle = {"method": OUR_METHODS}, "method", "median over rooms"
     held = {f"radius_{level}_holds": f"accepted images within their {level} % radius" for level in LEVELS}
-    middle = "{{who}}{}, median over rooms"
+    medians = {"rms_accepted_m": "RMS of accepted", "max_accepted_m": "max of accepted", **held}
+    figures = {"rms_m": "RMS", "median_m": "median", "p95_m": "p95", "max_m": "max"}
+    figures |= {f"{of}:median": f"{words}, {middle}" for of, words in medians.items()}
+    names = {of: of.removesuffix(":median") for of in figures}
     return [
-        *(Target(f"{{prefix}}{of}", f"{{who}}{words}", of, per=per) for of, words in means.items()),
-        *(Target(f"{{prefix}}{of}", middle.format(words), f"{of}:median", per=per) for of, words in medians.items()),
         *(
-            Target(f"{{prefix}}{of}", middle.format(words), f"{of}:median", per=per, at_least=True)
-            for of, words in held.items()
+            Target(f"{{method}}_{name}", f"{{label}}, {figures[of]}", of, per=per, at_least=name in held)
+            for of, name in names.items()
         ),
-        Target("{prefix}posenet_ratio", "{who}RMS / PoseNet's RMS", "rms_m:ratio", ours, per=per),
-        Target("{prefix}wins", "{who}rooms with RMS below PoseNet's", "won:share", ours, per=per, at_least=True),
+        Target("{method}_posenet_ratio", "{label}, RMS / PoseNet's RMS", "rms_m:ratio", ours, per=per),
+        Target("{method}_wins", "{label}, rooms with RMS below PoseNet's", "won:share", ours, per=per, at_least=True),
         Target("train_s", "training", "train_s", {"method": "deepgps"}),
     ]
 

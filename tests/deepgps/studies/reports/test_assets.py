@@ -1,10 +1,13 @@
 """The studies of assets/studies ask what they are meant to ask."""
 
+import pytest
+
 from deepgps.config.scenario import names_in
 from deepgps.studies.engine.recordings import find_drives
 from deepgps.studies.plan import Plan, plan_runs
 from deepgps.studies.reports import changes
 from deepgps.studies.study import load_study
+from sim.errors import InputError
 from sim.files import STUDIES
 from sim.settings import CameraMountSettings, DeploymentSettings, EncoderSettings, ImageFaultSettings
 
@@ -69,4 +72,11 @@ def test_the_encoder_study_asks_of_every_fault_with_five_seeds_and_shares_five_d
     robots = {one.scenario.robot.wheel_radius_error for one in plans}
     assert (len(robots), len({one.scenario.seed for one in plans})) == (3, 5)
     assert len({drive.model_dump_json() for drive in find_drives(plans).values()}) == 5 * len(robots)
-    assert len(plans[0].scenario.methods) == 4
+
+
+def test_networks_are_trained_where_they_are_asked_for() -> None:
+    few, all_ = (load_study("encoder", tiny=True, networks=networks) for networks in (False, True))
+    assert few.methods == ("registration", "registration_distances")
+    assert all_.methods == (*few.methods, "deepgps_compass", "deepgps", "dead_reckoned_labels", "posenet")
+    with pytest.raises(InputError, match="study knowing has no further methods: --networks"):
+        load_study("knowing", tiny=True, networks=True)
