@@ -20,7 +20,7 @@ from deepgps.robot_io.logs.robot_config import CameraConfig, Intrinsics
 from deepgps.terminal.progress import Report
 from sim.errors import InputError, one_line, quote, read_file
 from sim.sensors.camera.lens import Lens
-from sim.sensors.camera.unwrap import COEFFICIENTS, MODELS, RawCamera, Unwrapping, check_camera
+from sim.sensors.camera.unwrap import COEFFICIENTS, RawCamera, Unwrapping, check_camera
 
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 MIN_HALF_ANGLE = np.radians(30.0)
@@ -79,27 +79,12 @@ def make_camera(given: Intrinsics) -> RawCamera:
 
 def _make(model: Any, size: Sequence[Any], focal_and_centre: Sequence[Any], coefficients: Sequence[Any]) -> RawCamera:
     """A calibration of values that a file or a message gives."""
-    if model not in MODELS:
-        raise InputError(f"distortion model {quote(model)}: must be {', '.join(MODELS)}")
     names = ("width", "height", "fx", "fy", "cx", "cy")
     values = dict(zip(names, (*size, *focal_and_centre), strict=True))
     try:
         return make_camera(Intrinsics.model_validate({"model": model, **values, "coefficients": list(coefficients)}))
     except ValidationError as error:
         raise InputError(describe_problems(error, Intrinsics)) from None
-
-
-def prepare_unwrapping(camera: RawCamera, config: CameraConfig) -> tuple[Unwrapping, Lens]:
-    """What makes polar images of the images, and the lens of these; raises InputError if the camera sees too little."""
-    seen = camera.find_half_angle(config.circle_px)
-    half = seen if config.field_of_view_deg is None else np.radians(config.field_of_view_deg) / 2
-    if half < MIN_HALF_ANGLE:
-        raise InputError(
-            f"camera: the largest circle in the image reaches {np.degrees(half):.1f} deg from the optical axis, and at "
-            f"least {np.degrees(MIN_HALF_ANGLE):g} are needed"
-        )
-    lens = Lens(float(half))
-    return Unwrapping(camera, lens, config.rings, config.sectors, config.forward_deg, config.mirrored), lens
 
 
 def read_info(message: Any) -> RawCamera | None:
@@ -240,12 +225,20 @@ def open_polar(log: Log, config: CameraConfig, scratch: Path | None = None) -> P
     """Find the calibration, for the size of most of the first images that can be decoded.
 
     Raises:
-        InputError: There is no such image, or no calibration for it.
+        InputError: There is no such image, no calibration for it, or the camera sees too little.
     """
     first = [image for _, image in take_images(log, config.topic, range(FIRST_IMAGES))]
     sizes = Counter((image.shape[1], image.shape[0]) for image in first if not isinstance(image, InputError))
     if not sizes:
         raise InputError(f"camera.topic {config.topic}: none of the first images can be used: {first[0]}")
     camera = find_camera(log, config, sizes.most_common(1)[0][0])
-    unwrap, lens = prepare_unwrapping(camera, config)
+    seen = camera.find_half_angle(config.circle_px)
+    half = seen if config.field_of_view_deg is None else np.radians(config.field_of_view_deg) / 2
+    if half < MIN_HALF_ANGLE:
+        raise InputError(
+            f"camera: the largest circle in the image reaches {np.degrees(half):.1f} deg from the optical axis, and at "
+            f"least {np.degrees(MIN_HALF_ANGLE):g} are needed"
+        )
+    lens = Lens(float(half))
+    unwrap = Unwrapping(camera, lens, config.rings, config.sectors, config.forward_deg, config.mirrored)
     return PolarSource(log, config.topic, camera, unwrap, lens, scratch)

@@ -1,7 +1,7 @@
 """The images of a log: their times, and those that are wanted, decoded one at a time, in every usual encoding."""
 
 from collections.abc import Callable, Collection, Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
@@ -15,39 +15,27 @@ MAGIC = (b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n")
 """How JPEG and PNG begin; what a message says of its format differs between drivers."""
 KINDS = (RAW_IMAGE, COMPRESSED_IMAGE)
 
-
 # what OpenCV says of a damaged picture is in our own message
 cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)  # pyright: ignore[reportAttributeAccessIssue]
 
 
-class Encoding(NamedTuple):
-    """How pixels are stored."""
-
-    channels: int  # Bytes of a pixel
-    code: int | None  # OpenCV's conversion to RGB; None: they are RGB
-    extra: float = 0.0  # Rows of the image that follow as one of colours, as a fraction of its height
-
-
 ENCODINGS = {
-    "rgb8": Encoding(3, None),
-    "bgr8": Encoding(3, cv2.COLOR_BGR2RGB),
-    "8uc3": Encoding(3, cv2.COLOR_BGR2RGB),
-    "rgba8": Encoding(4, cv2.COLOR_RGBA2RGB),
-    "bgra8": Encoding(4, cv2.COLOR_BGRA2RGB),
-    "8uc4": Encoding(4, cv2.COLOR_BGRA2RGB),
-    "mono8": Encoding(1, cv2.COLOR_GRAY2RGB),
-    "8uc1": Encoding(1, cv2.COLOR_GRAY2RGB),
-    "yuv422": Encoding(2, cv2.COLOR_YUV2RGB_UYVY),
-    "uyvy": Encoding(2, cv2.COLOR_YUV2RGB_UYVY),
-    "yuv422_yuy2": Encoding(2, cv2.COLOR_YUV2RGB_YUY2),
-    "yuyv": Encoding(2, cv2.COLOR_YUV2RGB_YUY2),
-    "nv21": Encoding(1, cv2.COLOR_YUV2RGB_NV21, 0.5),
-    "nv12": Encoding(1, cv2.COLOR_YUV2RGB_NV12, 0.5),
-    "bayer_rggb8": Encoding(1, cv2.COLOR_BayerRGGB2RGB),
-    "bayer_bggr8": Encoding(1, cv2.COLOR_BayerBGGR2RGB),
-    "bayer_gbrg8": Encoding(1, cv2.COLOR_BayerGBRG2RGB),
-    "bayer_grbg8": Encoding(1, cv2.COLOR_BayerGRBG2RGB),
+    "rgb8": (3, None),
+    "bgr8": (3, cv2.COLOR_BGR2RGB),
+    "rgba8": (4, cv2.COLOR_RGBA2RGB),
+    "bgra8": (4, cv2.COLOR_BGRA2RGB),
+    "mono8": (1, cv2.COLOR_GRAY2RGB),
+    "yuv422": (2, cv2.COLOR_YUV2RGB_UYVY),
+    "yuv422_yuy2": (2, cv2.COLOR_YUV2RGB_YUY2),
+    "nv21": (1, cv2.COLOR_YUV2RGB_NV21),
+    "nv12": (1, cv2.COLOR_YUV2RGB_NV12),
+    "bayer_rggb8": (1, cv2.COLOR_BayerRGGB2RGB),
+    "bayer_bggr8": (1, cv2.COLOR_BayerBGGR2RGB),
+    "bayer_gbrg8": (1, cv2.COLOR_BayerGBRG2RGB),
+    "bayer_grbg8": (1, cv2.COLOR_BayerGRBG2RGB),
 }
+"""Bytes of a pixel, and OpenCV's conversion to RGB, by the encoding's name."""
+ALIASES = {"8uc1": "mono8", "8uc3": "bgr8", "8uc4": "bgra8", "uyvy": "yuv422", "yuyv": "yuv422_yuy2"}
 
 
 def decoder(kind: str) -> Callable[[Any], np.ndarray]:
@@ -69,24 +57,20 @@ def decode_raw(message: Any) -> np.ndarray:
         InputError: The encoding is unknown, or there are fewer bytes than its size needs.
     """
     name = str(message.encoding).strip().lower()
-    if name not in ENCODINGS:
-        raise InputError(f"encoding {quote(message.encoding)}: must be {', '.join(ENCODINGS)}")
-    encoding = ENCODINGS[name]
-    height, width, step = int(message.height), int(message.width), int(message.step)
-    rows, used = height + int(height * encoding.extra), width * encoding.channels
-    data = np.frombuffer(bytes(message.data), np.uint8)
-    step = step or used
-    # The last row may end with its last pixel.
-    if not (height and width) or step < used or len(data) < (rows - 1) * step + used:
+    if (name := ALIASES.get(name, name)) not in ENCODINGS:
+        raise InputError(f"encoding {quote(message.encoding)}: must be {', '.join((*ENCODINGS, *ALIASES))}")
+    channels, code = ENCODINGS[name]
+    height, width, data = int(message.height), int(message.width), bytes(message.data)
+    rows = height + height // 2 * name.startswith("nv")  # the colours are below
+    step = int(message.step) or width * channels
+    # the last row may end with its last pixel
+    if not (height and width) or step < width * channels or len(data) < (rows - 1) * step + width * channels:
         raise InputError(
             f"{len(data)} bytes, and {width} x {height} pixels of {name} with rows of {step} bytes need {rows * step}"
         )
-    padded = np.zeros(rows * step, np.uint8)
-    padded[: min(len(data), rows * step)] = data[: rows * step]
-    pixels = padded.reshape(rows, step)[:, :used]
-    pixels = pixels.reshape(rows, width, encoding.channels) if encoding.channels > 1 else pixels
-    pixels = np.ascontiguousarray(pixels)
-    return pixels if encoding.code is None else cv2.cvtColor(pixels, encoding.code)
+    pixels = np.ndarray((rows, width, channels), np.uint8, data, strides=(step, channels, 1))
+    pixels = np.ascontiguousarray(pixels[..., 0] if channels == 1 else pixels)
+    return pixels if code is None else cv2.cvtColor(pixels, code)
 
 
 def decode_file(data: bytes, how: int = cv2.IMREAD_COLOR) -> np.ndarray | None:
@@ -113,11 +97,12 @@ def decode_compressed(message: Any) -> np.ndarray:
         raise InputError(f"format {quote(message.format)}, {len(data)} bytes: neither JPEG nor PNG")
     source, _, rest = str(message.format).lower().partition(";")
     stored = rest.partition("compressed")[2].strip() or source.strip()  # ROS 2 usually stores a mosaic as mono8
-    mosaic = ENCODINGS.get(stored) if stored.startswith("bayer") else None
+    mosaic = stored.startswith("bayer") and stored in ENCODINGS
     pixels = decode_file(data, cv2.IMREAD_GRAYSCALE if mosaic else cv2.IMREAD_COLOR)
     if pixels is None:
         raise InputError(f"format {quote(message.format)}, {len(data)} bytes: the picture is damaged")
-    code = mosaic.code if mosaic and mosaic.code is not None else cv2.COLOR_BGR2RGB
+    _, code = ENCODINGS[stored if mosaic else "bgr8"]
+    assert code is not None
     return cv2.cvtColor(pixels, code)
 
 

@@ -70,21 +70,16 @@ class Driven(NamedTuple):
 def follow(wheels: Wheels, radius_m: float, track_m: float) -> Driven:
     """What a robot with wheels of this radius and track did [m]."""
     path = find_path(wheels.angle, radius_m, track_m)
-    return Driven(wheels, path, find_motions(wheels, path, track_m))
+    even = _take_off_usual(wheels, path)
+    motions = _leave_out_short(_group(_judge(wheels, even, track_m)), "back", MIN_BACK_M, even)
+    motions = [part for motion in _join(motions, even) for part in _divide_bent(motion, even)]
+    return Driven(wheels, path, _leave_out_short(motions, "straight", MIN_SEGMENT_M, even))
 
 
 def find_path(angle: np.ndarray, radius_m: float, track_m: float) -> Path:
     """Distance and heading by wheel angles (n, 2) [rad]: the wheels' mean, and their difference over the track."""
     rim = angle * radius_m
     return Path(rim.mean(axis=1), (rim[:, 1] - rim[:, 0]) / track_m)
-
-
-def find_motions(wheels: Wheels, path: Path, track_m: float) -> list[Motion]:
-    """Divide a drive into motions, in order; together they cover it."""
-    path = _take_off_usual(wheels, path)
-    motions = _leave_out_short(_group(_judge(wheels, path, track_m)), "back", MIN_BACK_M, path)
-    motions = [part for motion in motions for part in _divide_bent(motion, path)]
-    return _join(motions, path)
 
 
 def _take_off_usual(wheels: Wheels, path: Path) -> Path:
@@ -160,13 +155,19 @@ def _divide_bent(motion: Motion, path: Path) -> list[Motion]:
 
 
 def _join(motions: list[Motion], path: Path) -> list[Motion]:
-    """Segments with the moments in which the robot speeds up, brakes or rests between; short ones are arcs."""
-    joined: list[Motion] = []
-    for motion in motions:
-        joined.append(motion)
-        while count := _count_joined(joined, path):
-            joined[-count:] = [Motion("straight", joined[-count].first, joined[-1].last)]
-    return _leave_out_short(joined, "straight", MIN_SEGMENT_M, path)
+    """Straight drives with the moments in which the robot speeds up, brakes or rests on the way."""
+    while True:
+        straight = [False, *(one.kind == "straight" for one in motions), False]
+        joined: list[Motion] = []
+        for one, before, after in zip(motions, straight, straight[2:], strict=False):
+            slight = abs(path.turn(one)) < JOIN_RAD and path.measure(one) < JOIN_M
+            beside = (before or after) if one.kind == "arc" else before and after and one.kind in {"rest", "turn"}
+            kind: Kind = "straight" if slight and beside else one.kind
+            first = joined.pop().first if joined and joined[-1].kind == kind else one.first
+            joined.append(Motion(kind, first, one.last))
+        if len(joined) == len(motions):
+            return joined
+        motions = joined
 
 
 def _leave_out_short(motions: list[Motion], kind: Kind, least_m: float, path: Path) -> list[Motion]:
@@ -175,21 +176,3 @@ def _leave_out_short(motions: list[Motion], kind: Kind, least_m: float, path: Pa
         Motion("arc", one.first, one.last) if one.kind == kind and path.measure(one) < least_m else one
         for one in motions
     ]
-
-
-def _count_joined(motions: list[Motion], path: Path) -> int:
-    """How many of the last motions are one segment together; 0: none."""
-    slight = [abs(path.turn(one)) < JOIN_RAD and path.measure(one) < JOIN_M for one in motions[-3:]]
-    kinds = [one.kind for one in motions[-3:]]
-
-    def are_one_line(count: int) -> bool:
-        bent = path.yaw[motions[-1].last] - path.yaw[motions[-count].first]
-        return kinds[-count] == kinds[-1] == "straight" and abs(bent) < MAX_BEND_RAD
-
-    if kinds[-2:] == ["straight", "arc"] and slight[-1]:
-        return 2
-    if kinds[-2:] == ["arc", "straight"] and slight[-2]:
-        return 2
-    if len(kinds) > 1 and are_one_line(2) and min(map(path.measure, motions[-2:])) < MIN_SEGMENT_M:
-        return 2
-    return 3 if len(kinds) > 2 and kinds[-2] in {"rest", "arc", "turn"} and slight[-2] and are_one_line(3) else 0

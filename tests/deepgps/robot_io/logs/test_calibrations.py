@@ -81,7 +81,7 @@ def test_other_files_are_named_and_what_is_wrong_is_said_in_one_line(tmp_path: P
         ({"cam0": KALIBR, "cam1": KALIBR}, "it holds 2 cameras: leave the one that looks up"),
         ({"cam0": {**KALIBR, "camera_model": "eucm"}}, r"camera model \('eucm', 'equidistant'\) of Kalibr: must be"),
         ({"cam0": {**KALIBR, "intrinsics": [1.0]}}, "intrinsics of Kalibr's pinhole must be 4 numbers"),
-        ({**ROS, "distortion_model": "eucm"}, "distortion model 'eucm': must be equidistant"),
+        ({**ROS, "distortion_model": "eucm"}, "model 'eucm': must be 'equidistant'"),
         ({**ROS, "image_height": 80.5}, r"height 80\.5: must be"),
         ({**ROS, "camera_matrix": {"data": MATRIX[:8]}}, "the camera matrix must be a list of 9 numbers"),
         ({**ROS, "camera_matrix": {"data": [True] * 9}}, "fx True: must be"),

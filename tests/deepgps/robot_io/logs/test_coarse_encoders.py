@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deepgps.robot_io.logs.segmentation import find_motions, find_path
+from deepgps.robot_io.logs.segmentation import follow
 from deepgps.robot_io.logs.wheels import Wheels, fill_counts
 from tests.helpers.robot_log import LENGTHS_M, RADIUS_M, TRACK_M, TURNS, make_motion
 
@@ -41,9 +41,8 @@ def test_fine_encoders_and_wheels_that_never_turn_stay_as_they_are():
 @pytest.mark.parametrize("ticks", [16, 32, 64])
 def test_wheels_with_coarse_encoders_show_every_segment_and_turn(ticks: int):
     wheels, _ = make_wheels(ticks, 0.05)
-    wheels = fill_counts(wheels, "wheels")
-    path = find_path(wheels.angle, RADIUS_M, TRACK_M)
-    motions = [one for one in find_motions(wheels, path, TRACK_M) if one.kind in {"straight", "turn"}]
+    _, path, motions = follow(fill_counts(wheels, "wheels"), RADIUS_M, TRACK_M)
+    motions = [one for one in motions if one.kind in {"straight", "turn"}]
     lengths = [path.measure(one) for one in motions if one.kind == "straight"]
     np.testing.assert_allclose(lengths, LENGTHS_M, atol=0.005 + 1.5 * 2 * np.pi / ticks * RADIUS_M)
     assert [one.kind for one in motions if path.measure(one) > 0.1 or one.kind == "turn"] == ["straight", "turn"] * len(

@@ -314,7 +314,7 @@ def none(_: int, note: Note) -> None:
 
 REFUSED_LOGS: dict[str, tuple[Change, str]] = {
     "no calibration": (on(CAMERA_INFO, info(focal=0.0)), "/camera/camera_info: the camera is not calibrated .K is 0."),
-    "model": (on(CAMERA_INFO, info(model="ocam")), "/camera/camera_info: distortion model 'ocam': must be equidistant"),
+    "model": (on(CAMERA_INFO, info(model="ocam")), "/camera/camera_info: model .ocam.: must be .equidistant"),
     "size": (on(CAMERA_INFO, info(height=81)), "/camera/camera_info: it is for 96 x 81 px, and images have 96 x 80"),
     "no info": (on(CAMERA_INFO, none), "camera.info /camera/camera_info: .* has no such topic"),
     "no camera": (on(CAMERA, none), "camera.topic /camera/image_raw: .* has no such topic"),

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deepgps.robot_io.logs.segmentation import find_motions, find_path
+from deepgps.robot_io.logs.segmentation import follow
 from deepgps.robot_io.logs.wheels import Wheels, clean_wheels
 from sim.errors import InputError
 from tests.helpers.robot_log import LENGTHS_M, RADIUS_M, TICK, TRACK_M, TURNS, make_motion
@@ -28,12 +28,12 @@ def sample(lengths_m=LENGTHS_M, turns=TURNS, scale=(1.0, 1.0), noise: float = 0.
 
 
 def find(wheels: Wheels) -> tuple[list[float], list[float]]:
-    """Lengths of the segments [m] and turns [rad] that are found."""
-    path = find_path(wheels.angle, RADIUS_M, TRACK_M)
-    motions = find_motions(wheels, path, TRACK_M)
+    """Lengths of the segments [m] and turns [rad] that are found, in motions that cover the drive without overlap."""
+    _, path, motions = follow(wheels, RADIUS_M, TRACK_M)
+    assert motions[0].first == 0 and motions[-1].last == len(wheels.time_s) - 1
+    assert all(one.last == other.first for one, other in pairwise(motions))
     lengths = [path.travelled_m[one.last] - path.travelled_m[one.first] for one in motions if one.kind == "straight"]
-    turns = [path.yaw[one.last] - path.yaw[one.first] for one in motions if one.kind == "turn"]
-    return lengths, turns
+    return lengths, [path.turn(one) for one in motions if one.kind == "turn"]
 
 
 def test_all_segments_and_turns_are_found_at_any_noise_and_wheels_that_differ_bend_none() -> None:
@@ -64,22 +64,9 @@ def test_an_arc_is_no_segment() -> None:
     ahead = np.where(time_s < 10.0, 0.2, 0.0) + np.where((time_s > 11.0) & (time_s < 18.0), 0.2, 0.0)
     rate = np.where((time_s > 11.0) & (time_s < 18.0), 0.15, 0.0)  # a radius of 1.3 m
     rim = np.column_stack([ahead - rate * TRACK_M / 2, ahead + rate * TRACK_M / 2]) * PERIOD_S / RADIUS_M
-    wheels = clean_wheels(time_s, np.cumsum(rim, axis=0), 4096, "/joint_states")
-    path = find_path(wheels.angle, RADIUS_M, TRACK_M)
-    motions = find_motions(wheels, path, TRACK_M)
-    driven = {
-        kind: sum(path.travelled_m[one.last] - path.travelled_m[one.first] for one in motions if one.kind == kind)
-        for kind in ("straight", "arc")
-    }
-    assert driven["straight"] == pytest.approx(2.0, abs=0.05) and driven["arc"] == pytest.approx(1.4, abs=0.05)
-
-
-def test_motions_cover_the_drive_without_overlap() -> None:
-    wheels = sample()
-    path = find_path(wheels.angle, RADIUS_M, TRACK_M)
-    motions = find_motions(wheels, path, TRACK_M)
-    assert motions[0].first == 0 and motions[-1].last == len(wheels.time_s) - 1
-    assert all(one.last == other.first for one, other in pairwise(motions))
+    driven = follow(clean_wheels(time_s, np.cumsum(rim, axis=0), 4096, "/joint_states"), RADIUS_M, TRACK_M)
+    assert driven.sum_up("straight")[2] == pytest.approx(2.0, abs=0.05)
+    assert driven.sum_up("arc")[2] == pytest.approx(1.4, abs=0.05)
 
 
 @pytest.mark.parametrize("full", [2.0 * np.pi, 2**16 * TICK, 2**32 * TICK], ids=["a turn", "16 bits", "32 bits"])
