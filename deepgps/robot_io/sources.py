@@ -1,9 +1,10 @@
 """Images one by one, from a file, a folder, standard input or a robot's log, with the log's odometry."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
+from itertools import count
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
@@ -85,28 +86,21 @@ def open_pictures(source: str, stdin: BinaryIO) -> Iterator[Picture]:
     path = Path(source)
     if path.suffix in LOGS or (path / "metadata.yaml").is_file():
         raise InputError(f"{shorten(source, 300)} is a log: it needs --config; deepgps import LOG --look proposes one")
-    if not path.is_dir():
-        if not path.exists():
-            raise InputError(f"{shorten(source, 300)}: no such file or folder")
-        return iter([read_picture(path)])
-    paths = sorted(one for one in path.iterdir() if one.suffix.lower() in SUFFIXES)
-    if not paths:
-        raise InputError(f"{shorten(source, 300)} holds no image ({', '.join(SUFFIXES)})")
-    return map(read_picture, paths)
-
-
-def read_picture(path: Path) -> Picture:
-    """The image in a file."""
-    try:
-        return decode(str(path), read_file(path, MAX_BYTES, path.name))
-    except InputError as error:
-        return Picture(str(path), None, one_line(error))
+    if not path.exists():
+        raise InputError(f"{shorten(source, 300)}: no such file or folder")
+    paths = [path]
+    if path.is_dir():
+        paths = sorted(one for one in path.iterdir() if one.suffix.lower() in SUFFIXES)
+        if not paths:
+            raise InputError(f"{shorten(source, 300)} holds no image ({', '.join(SUFFIXES)})")
+    return (decode(str(one), partial(read_file, one, MAX_BYTES, one.name)) for one in paths)
 
 
 def read_stream(stream: BinaryIO) -> Iterator[Picture]:
     """The images of a stream, until it ends; raises InputError where no length can be right."""
-    number = 0
-    while head := stream.read(4):
+    for number in count():
+        if not (head := stream.read(4)):
+            return
         length = int.from_bytes(head, "big")
         if len(head) == 4 and not 0 < length <= MAX_BYTES:
             raise InputError(
@@ -117,19 +111,17 @@ def read_stream(stream: BinaryIO) -> Iterator[Picture]:
         if len(head) < 4 or len(data) < length:
             yield Picture(str(number), None, "standard input ends in the middle of it")
             return
-        yield decode(str(number), data)
-        number += 1
+        yield decode(str(number), partial(bytes, data))
 
 
-def decode(name: str, data: bytes) -> Picture:
-    """The image that some bytes encode, in any format of OpenCV."""
+def decode(name: str, read: Callable[[], bytes]) -> Picture:
+    """The image that some bytes encode, in any format of OpenCV, or why it cannot be read."""
     try:
-        image = decode_file(data)
+        if (image := decode_file(read())) is None:
+            return Picture(name, None, "it is no image that OpenCV can read")
+        return Picture(name, cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
     except (InputError, cv2.error) as error:
         return Picture(name, None, one_line(error))
-    if image is None:
-        return Picture(name, None, "it is no image that OpenCV can read")
-    return Picture(name, cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
 
 
 NS = 1e-9
@@ -165,26 +157,26 @@ def open_source(
     InputError if the log or its configuration cannot be used.
     """
     robot = load_config(config)
+    view = {"field_of_view_deg": robot.camera.field_of_view_deg or field_of_view_deg}
+    robot = robot.model_copy(update={"camera": robot.camera.model_copy(update=view), "pose": None})
     with open_log(path) as log:
-        listed, drive = open_images(log, robot.camera.topic), None
-        if with_odometry:
-            wheels, listed, _ = read_times(log, robot, progress, with_poses=False)
-            drive = find_drive(robot, wheels, listed, None)
-        else:
+        if not with_odometry:
+            listed = open_images(log, robot.camera.topic)
             log.feed({listed.topic: listed.take}, progress)
             listed.check()
-        view = {"field_of_view_deg": robot.camera.field_of_view_deg or field_of_view_deg}
-        polar = open_polar(log, robot.camera.model_copy(update=view))
-        yield LogSource(polar, listed, None if drive is None else _follow(robot, drive, polar, progress))
+            yield LogSource(open_polar(log, robot.camera), listed, None)
+            return
+        wheels, listed, _ = read_times(log, robot, progress)
+        drive, polar = find_drive(robot, wheels, listed, None), open_polar(log, robot.camera)
+        yield LogSource(polar, listed, _follow(robot, drive, polar, progress))
 
 
 def _follow(robot: RobotConfig, drive: LoggedDrive, polar: PolarSource, progress: Report) -> Odometry:
     """Distance and heading at each image, by the wheels when they were read later by their lag."""
-    lag_s = robot.wheels.lag_s
+    lag_s, wheels = robot.wheels.lag_s, drive.driven.wheels
     if lag_s == "estimate":
         lag_s, _ = compare_wheels(polar, drive, lag_s, progress)
     time_s = drive.image_s + float(lag_s)
-    wheels = drive.driven.wheels
     angle = wheels.at(time_s)
     angle[1:][np.diff(wheels.count_breaks(time_s)) != 0] = np.nan  # the motion since the image before is unknown
     return find_path(angle, robot.wheels.radius_m, robot.wheels.track_m)

@@ -3,9 +3,7 @@
 The robot drives straight segments and turns in place below a ceiling with a random texture, which a fisheye sees.
 """
 
-import sqlite3
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -13,7 +11,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-import yaml
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 from rosbags.rosbag1 import Writer as Bag
@@ -236,38 +233,26 @@ def write_log(path: Path, notes: Sequence[Note], form: str = "mcap") -> Path:
     Args:
         path: Its path without suffix.
         notes: Its messages.
-        form: bag, bag_bz2, bag_lz4, db3, db3_v8, db3_v5, db3_zstd, mcap, mcap_zstd or mcap_lz4; the last is one file.
+        form: bag, db3, db3_zstd, mcap or mcap_lz4; the last is one file.
 
     Returns:
         The log.
     """
     topics = {note.topic: note.kind for note in notes}
-    if form.startswith("bag"):
-        return _write_bag(path.with_suffix(".bag"), notes, topics, form.partition("_")[2])
     if form == "mcap_lz4":
         return _write_lz4(path.with_suffix(".mcap"), notes)
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    plugin = StoragePlugin.MCAP if form.startswith("mcap") else StoragePlugin.SQLITE3
-    bag = Bag2(path, version=8 if form.endswith(("v5", "v8")) else 9, storage_plugin=plugin)
-    if form.endswith("zstd"):
-        mode = CompressionMode.STORAGE if plugin == StoragePlugin.MCAP else CompressionMode.MESSAGE
-        bag.set_compression(mode, CompressionFormat.ZSTD)
+    store = get_typestore(Stores.ROS1_NOETIC if form == "bag" else Stores.ROS2_HUMBLE)
+    if form == "bag":
+        bag, serialize = Bag(path := path.with_suffix(".bag")), store.serialize_ros1
+    else:
+        plugin = StoragePlugin.MCAP if form == "mcap" else StoragePlugin.SQLITE3
+        bag, serialize = Bag2(path, version=9, storage_plugin=plugin), store.serialize_cdr
+        if form == "db3_zstd":
+            bag.set_compression(CompressionMode.MESSAGE, CompressionFormat.ZSTD)
     with bag:
-        links = {topic: bag.add_connection(topic, kind, typestore=store) for topic, kind in topics.items()}
+        links: Any = {topic: bag.add_connection(topic, kind, typestore=store) for topic, kind in topics.items()}
         for note in notes:
-            bag.write(links[note.topic], note.log_ns, store.serialize_cdr(make_message(store, note), note.kind))
-    return _take_back(path) if form == "db3_v5" else path
-
-
-def _write_bag(path: Path, notes: Sequence[Note], topics: Mapping[str, str], compression: str) -> Path:
-    store = get_typestore(Stores.ROS1_NOETIC)
-    bag = Bag(path)
-    if compression:
-        bag.set_compression(Bag.CompressionFormat[compression.upper()])
-    with bag:
-        links = {topic: bag.add_connection(topic, kind, typestore=store) for topic, kind in topics.items()}
-        for note in notes:
-            bag.write(links[note.topic], note.log_ns, store.serialize_ros1(make_message(store, note), note.kind))
+            bag.write(links[note.topic], note.log_ns, serialize(make_message(store, note), note.kind))
     return path
 
 
@@ -285,22 +270,6 @@ def _write_lz4(path: Path, notes: Sequence[Note]) -> Path:
             writer.add_message(links[note.topic], note.log_ns, data, note.log_ns)
         writer.finish()
     return path
-
-
-def _take_back(folder: Path) -> Path:
-    """Make a bag of version 8 one as Humble writes it: metadata of version 5, no definitions of types."""
-    about = yaml.safe_load((folder / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
-    with closing(sqlite3.connect(folder / f"{folder.name}.db3")) as database:
-        database.executescript(
-            "ALTER TABLE topics DROP COLUMN type_description_hash; DROP TABLE message_definitions; "
-            "UPDATE schema SET schema_version = 3, ros_distro = 'humble'; DELETE FROM metadata;"
-        )
-    for topic in about["topics_with_message_count"]:
-        del topic["topic_metadata"]["type_description_hash"]
-    kept = {name: value for name, value in about.items() if name not in {"custom_data", "ros_distro"}}
-    kept |= {"version": 5, "files": []}
-    (folder / "metadata.yaml").write_text(yaml.safe_dump({"rosbag2_bagfile_information": kept}))
-    return folder
 
 
 def make_message(store: Any, note: Note) -> Any:

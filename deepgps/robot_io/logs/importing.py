@@ -63,13 +63,11 @@ def import_log(path: Path, config: RobotConfig, out: Path, progress: Report, con
         return _Import(config, source, drive, lag_s).write(about, notes, out, progress)
 
 
-def read_times(
-    log: Log, config: RobotConfig, progress: Report, with_poses: bool = True
-) -> tuple[WheelLog, ImageList, PoseLog | None]:
+def read_times(log: Log, config: RobotConfig, progress: Report) -> tuple[WheelLog, ImageList, PoseLog | None]:
     """Read wheels, times of images, and poses, all at once."""
     wheels, images = open_wheels(log, config.wheels), open_images(log, config.camera.topic)
     takers, poses = {config.wheels.topic: wheels.take, images.topic: images.take}, None
-    if config.pose and with_poses:
+    if config.pose:
         poses = open_poses(log, config.pose.topic)
         if config.pose.topic in takers:
             raise InputError(f"pose.topic {config.pose.topic}: is the topic of the wheels or of the camera")

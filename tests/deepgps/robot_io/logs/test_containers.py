@@ -34,7 +34,7 @@ def check_refused(log: Path, message: str) -> None:
 
 
 def test_a_database_needs_no_metadata(notes: list[Note], tmp_path: Path) -> None:
-    for form in ("db3_v5", "db3_zstd"):  # without definitions of types; compressed one by one
+    for form in ("db3", "db3_zstd"):  # compressed one by one
         folder = write_log(tmp_path / form, notes, form)
         whole, said = read_all(folder)
         assert len(whole) == len(notes) and said == ()
