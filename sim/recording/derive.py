@@ -35,10 +35,10 @@ from sim.recording.manifest import DEPLOYMENT_FOLDER, Manifest, choose_deploymen
 from sim.recording.turns import FILE as TURNS
 from sim.recording.turns import Turns, count_images, cut_turns, lose_turns
 from sim.rng import stream
-from sim.sensors.camera.faults import make_measures
+from sim.sensors.camera.faults import drop_faults, make_measures
 from sim.sensors.catalog import Measure
 from sim.sensors.encoder import describe_odometry, read_encoders
-from sim.settings import DeploymentSettings, EncoderSettings, GridSettings, ImageFaultSettings, SimSettings
+from sim.settings import DeploymentSettings, EncoderSettings, GridSettings, SimSettings
 
 SAMPLE_FILES = ("truth/pose.npy", "truth/state.npy")
 OBSERVATION_PREFIX = "observations/"
@@ -66,9 +66,7 @@ BATCH_SIZE = 256  # Images that are processed at a time
 def choose_drive(settings: SimSettings, samples: int) -> SimSettings:
     """Settings of the fault-free recording of so many samples from which others of the same drive are derived."""
     drive = settings.drive.model_copy(update={"samples": samples})
-    return settings.model_copy(
-        update={"encoder": EncoderSettings(), "image_faults": ImageFaultSettings(), "drive": drive}
-    )
+    return drop_faults(settings.model_copy(update={"encoder": EncoderSettings(), "drive": drive}))
 
 
 def can_be_cut(settings: SimSettings) -> bool:
@@ -185,7 +183,7 @@ def _explain_misfit_of_drive(
             (_strip(other, samples), manifest.seed) != (_strip(settings, samples), seed)
         ),
         "has faults in its images, which cannot be taken away: nothing can be derived from it": (
-            other.image_faults != ImageFaultSettings()
+            other != drop_faults(other)
         ),
         f"has {length} samples, too few for {title} {samples}": length < samples,
         f"has {length} samples, of which {samples} are no recording of their own": (
@@ -198,8 +196,8 @@ def _explain_misfit_of_drive(
 
 def _strip(settings: SimSettings, samples: int) -> SimSettings:
     """Settings without what may differ between a recording and one derived from it."""
-    deployment = settings.deployment.model_copy(update={"drive_samples": 0})
-    return choose_drive(settings, samples).model_copy(update={"deployment": deployment})
+    drive = choose_drive(settings, samples)
+    return drive.model_copy(update={"deployment": drive.deployment.model_copy(update={"drive_samples": 0})})
 
 
 def _develop_again(source: Path, target: Path, fault: Measure, count: int | None) -> None:

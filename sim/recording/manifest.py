@@ -14,7 +14,7 @@ from sim.errors import InputError, one_line
 from sim.files.checksums import FORMAT
 from sim.rng import derive_seed
 from sim.sensors.catalog import SENSORS, ObservationKind, list_kept
-from sim.settings import DeploymentMountSettings, DeploymentSettings, SimSettings
+from sim.settings import DeploymentImageFaultSettings, DeploymentMountSettings, DeploymentSettings, SimSettings
 
 PACKAGES = ("mujoco", "numpy", "opencv-python-headless")  # Packages on whose versions the bytes of a recording depend
 SENSOR = r"[a-z][a-z0-9_]{0,40}"  # Pattern of a sensor's name, which is part of the names of its files
@@ -93,27 +93,31 @@ NO_TESTS = np.empty((0, 1, 3))  # Poses of the test positions of a recording wit
 
 
 def light_part(settings: SimSettings, number: int) -> SimSettings:
-    """Settings of what is sensed in the drive's part with a number, which are the drive's if the light is constant."""
-    if not settings.drive.mixed_light:
+    """Settings of what is sensed in the drive's part with a number: the drive's, with its light and its persons."""
+    if not (settings.drive.mixed_light or settings.drive.person):
         return settings
-    return settings.model_copy(update={"deployment": LIGHT_STATES[number % len(LIGHT_STATES)]})
+    light = LIGHT_STATES[number % len(LIGHT_STATES)] if settings.drive.mixed_light else DeploymentSettings()
+    seen = light.model_copy(update={"person": settings.drive.person})
+    return settings.model_copy(update={"deployment": seen})
 
 
 def set_deployment(settings: SimSettings) -> SimSettings:
-    """Settings of all sensed in deployment: the room as ``deployment`` changes it, the camera as it leans then."""
-    leans = {name: value for name, value in settings.deployment.camera_mount if value is not None}
-    changes = {"drive_samples": 0, "camera_mount": DeploymentMountSettings()}
+    """Settings of all sensed in deployment: the room as ``deployment`` changes it, the camera as it is then."""
+    none = {"camera_mount": DeploymentMountSettings(), "image_faults": DeploymentImageFaultSettings()}
     return settings.model_copy(
         update={
-            "camera_mount": settings.camera_mount.model_copy(update=leans),
-            "deployment": settings.deployment.model_copy(update=changes),
+            "camera_mount": settings.camera_mount.override(settings.deployment.camera_mount),
+            "image_faults": settings.image_faults.override(settings.deployment.image_faults),
+            "deployment": settings.deployment.model_copy(update={"drive_samples": 0, **none}),
         }
     )
 
 
 def choose_deployment(settings: SimSettings) -> SimSettings:
     """Settings of the deployment drive's recording: in the room and the light as ``deployment`` changes them."""
-    drive = settings.drive.model_copy(update={"samples": settings.deployment.drive_samples, "mixed_light": False})
+    drive = settings.drive.model_copy(
+        update={"samples": settings.deployment.drive_samples, "mixed_light": False, "person": 0}
+    )
     grid = settings.grid.model_copy(update={"held_out": 0})
     return set_deployment(settings).model_copy(update={"drive": drive, "grid": grid})
 

@@ -72,6 +72,7 @@ def check_log(path: Path, settings: SimSettings) -> None:
         "image_faults": settings.image_faults != ImageFaultSettings(),
         "camera_mount.driven_m": settings.camera_mount.driven_m,
         "drive.mixed_light": settings.drive.mixed_light,
+        "drive.person": settings.drive.person,
     }
     for name in (name for name, on in faults.items() if on):
         raise InputError(f"--log {path}: {name} applies to polar images, and a log holds raw ones; leave it out")

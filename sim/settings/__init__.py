@@ -17,6 +17,7 @@ from sim.settings.robot import (
     SensorName,
     TagCameraSettings,
 )
+from sim.settings.robot import DeploymentImageFaultSettings as DeploymentImageFaultSettings
 from sim.settings.robot import DeploymentMountSettings as DeploymentMountSettings
 from sim.settings.world import (
     PLANE_CLEARANCE_M,
@@ -113,8 +114,9 @@ class SimSettings(Group):
 
     @model_validator(mode="after")
     def _only_a_camera_has_its_faults(self) -> "SimSettings":
-        if self.drive.mixed_light and (self.world != "room" or self.sensor != "fisheye"):
-            raise ValueError("drive.mixed_light needs world room and sensor fisheye")
+        for name in ("mixed_light", "person"):
+            if getattr(self.drive, name) and (self.world != "room" or self.sensor != "fisheye"):
+                raise ValueError(f"drive.{name} needs world room and sensor fisheye")
         # any sensor can be driven with
         changes = self.deployment.model_copy(update={"drive_samples": 0})
         faulty = self.model_copy(update={"deployment": changes})

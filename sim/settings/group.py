@@ -1,7 +1,7 @@
 """A group of settings: frozen, and checked once when it is created."""
 
 from collections.abc import Iterator, Mapping
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any, Self, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 from pydantic_core import PydanticCustomError
@@ -21,6 +21,10 @@ class Group(BaseModel):
         if types & {int, float} and not types & {bool, Any} and _holds_bool(value):
             raise PydanticCustomError("number_type", "Input should be numeric, not true or false")
         return value
+
+    def override(self, changes: "Group") -> Self:
+        """The group in which the settings of other values than None in ``changes`` replace its own."""
+        return self.model_copy(update={name: value for name, value in changes if value is not None})
 
 
 def _holds_bool(value: Any) -> bool:

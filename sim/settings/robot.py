@@ -1,5 +1,6 @@
 """Settings of the robot: its body, wheel encoders and sensors, their faults, and what changes in deployment."""
 
+from operator import not_
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, SerializerFunctionWrapHandler, field_validator, model_serializer, model_validator
@@ -7,7 +8,7 @@ from pydantic import Field, SerializerFunctionWrapHandler, field_validator, mode
 from sim.errors import shorten
 from sim.plugins import ENCODER_FAULTS
 from sim.settings.group import Group
-from sim.settings.world import MIN_SAMPLES
+from sim.settings.world import MIN_SAMPLES, Persons
 
 OWN_ROBOT_NAMES = ("left_joint", "right_joint", "camera_site")  # Settings that name parts of a user's own robot
 
@@ -130,7 +131,8 @@ class TagCameraSettings(Group):
 
 
 class ImageFaultSettings(Group):
-    """Faults of the camera's sensor: they act on finished images, in training and in deployment."""
+    """Faults of the image, in training and in deployment. Glare and JPEG are rendered, in the round image before it is
+    unwrapped; the others act on finished images."""
 
     exposure: float = Field(default=1.0, gt=0.0, le=16.0)
     """Exposure time, as a fraction of that of an image without faults; values brighter than white are cut off."""
@@ -143,6 +145,25 @@ class ImageFaultSettings(Group):
     the light. One over the root of the electrons that fill a pixel: 0.01 for 10,000 of them."""
     turn_deg: float = Field(default=0.0, ge=0.0, le=90.0)
     """Angle that the robot turns while the shutter is open, which smears each ring: turn rate x exposure time [deg]."""
+    hidden_deg: float = Field(default=0.0, ge=0.0, le=180.0, exclude_if=not_)
+    """Angle behind the robot in which a mast hides the view, from the rim to the zenith [deg]."""
+    glare: float = Field(default=0.0, ge=0.0, le=1.0, exclude_if=not_)
+    """Fraction of the light of lamps and windows that the lens scatters, close to them and over the image."""
+    jpeg_kb: float = Field(default=0.0, ge=0.0, le=1000.0, exclude_if=not_)
+    """Largest size of a round image of 480 x 480 pixels as a JPEG file [kB]; 0: it is not compressed."""
+
+
+class DeploymentImageFaultSettings(Group):
+    """Faults of the image in deployment; None: as in training."""
+
+    read_noise: float | None = Field(default=None, ge=0.0, le=1.0)
+    """Standard deviation of each sensor pixel's noise in the dark, of white; None: by image_faults.read_noise."""
+    hidden_deg: float | None = Field(default=None, ge=0.0, le=180.0)
+    """Angle behind the robot in which a mast hides the view [deg]; None: by image_faults.hidden_deg."""
+    glare: float | None = Field(default=None, ge=0.0, le=1.0)
+    """Fraction of the light of lamps and windows that the lens scatters; None: by image_faults.glare."""
+    jpeg_kb: float | None = Field(default=None, ge=0.0, le=1000.0)
+    """Largest size of a round image as a JPEG file [kB]; None: by image_faults.jpeg_kb."""
 
 
 class MountSettings(Group):
@@ -176,6 +197,8 @@ class DeploymentMountSettings(MountSettings):
     """The camera's axis leans to the robot's right by this [deg]; None: by camera_mount.roll_deg."""
     pitch_deg: float | None = Field(default=None, ge=-30.0, le=30.0)
     """The camera's axis leans forward by this [deg]; None: by camera_mount.pitch_deg."""
+    wobble_deg: float | None = Field(default=None, ge=0.0, le=10.0, exclude_if=lambda wobble_deg: wobble_deg is None)
+    """Standard deviation of an additional random lean of each image [deg]; None: by camera_mount.wobble_deg."""
     ahead_m: float | None = Field(default=None, ge=-0.1, le=0.1)
     """The camera is ahead of the wheel axle by this [m]; None: by camera_mount.ahead_m."""
     left_m: float | None = Field(default=None, ge=-0.1, le=0.1)
@@ -202,11 +225,15 @@ class DeploymentSettings(Group):
     """A lamp that was off in training hangs 2 m above a random free place and shines."""
     exposure: Literal["fixed", "auto"] = "fixed"
     """auto: the camera has automatic exposure and white balance, for each image by itself."""
-    person: bool = False
-    """In each image, a person stands at another random free place, without any effect on the physics."""
+    person: Persons = 0
+    """Persons in view, at most 3 (true: 1), without any effect on the physics. On a drive they walk and stand; in each
+    image of the test grid they stand at other random free places."""
     moved_m: float = Field(default=0.0, ge=0.0, le=2.0)
     """Distance by which chairs and other small furniture have been pushed, each in a random feasible direction [m]."""
     camera_mount: DeploymentMountSettings = DeploymentMountSettings()
+    image_faults: DeploymentImageFaultSettings = Field(
+        default=DeploymentImageFaultSettings(), exclude_if=lambda faults: faults == DeploymentImageFaultSettings()
+    )
 
     @property
     def draws_sources_apart(self) -> bool:

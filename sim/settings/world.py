@@ -1,8 +1,9 @@
 """Settings of the world, a room or one of the paper's planes, of the drive in it and of the test grid."""
 
+from operator import not_
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, PlainSerializer, model_validator
 
 from sim.settings.group import Group, Seed
 
@@ -71,6 +72,12 @@ class ObstaclesSettings(Group):
     """Seed of the obstacles; None: the scenario's seed."""
 
 
+# None and one are written as false and true, as in recordings from before there could be more
+Persons = Annotated[
+    Annotated[int, Field(ge=0, le=3)] | bool,
+    AfterValidator(int),
+    PlainSerializer(lambda count: count if count > 1 else bool(count)),
+]
 MIN_SAMPLES = 16  # Fewest images of a drive
 TURN_RATE_RPS = 1.8  # Speed of turns in place [rad/s] (TurtleBot3 Burger: at most 2.84)
 
@@ -105,6 +112,8 @@ class DriveSettings(Group):
     mixed_light: bool = False
     """Whether the light changes during the training drive, at the first end of a segment after every 256 images: as
     usual, little daylight, lamps off, night."""
+    person: Persons = Field(default=0, exclude_if=not_)
+    """Persons who walk and stand in view during the training drive, at most 3; as deployment.person."""
     arcs: float = Field(default=0.0, ge=0.0, le=0.9)
     """Probability, before a segment, of driving an arc first, on which no image is taken; only logs show it."""
 

@@ -126,7 +126,8 @@ def count_drives(drives: int, samples: int) -> int:
 
 def _choose(scenario: Scenario, samples: int) -> Scenario:
     sim = choose_drive(scenario.sim, samples)
-    return scenario.model_copy(update={"encoder": sim.encoder, "image_faults": sim.image_faults, "drive": sim.drive})
+    names = ("encoder", "image_faults", "deployment", "drive")
+    return scenario.model_copy(update={name: getattr(sim, name) for name in names})
 
 
 def _name_drive(scenario: Scenario) -> str:

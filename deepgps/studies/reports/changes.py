@@ -1,19 +1,26 @@
-"""The reports "camera", "change" and "knowing": what a fault or a change in deployment costs, what is said of it."""
+"""The reports "camera", "change", "reality", "knowing": what a fault or a change in deployment costs, what is said."""
 
 import json
 from collections.abc import Sequence
+from typing import Any
 
 from deepgps.config.methods import title_of
 from deepgps.config.scenario import Scenario
 from deepgps.studies.reports.record import ACCEPTED_ERRORS, ERRORS, GRID, RATIOS, Dots, StudyReport, Table, Target
 from deepgps.studies.reports.render import add_base
 from deepgps.studies.table import Row, is_seed, read_setting
-from sim.sensors.camera.faults import FAULTS
+from sim.sensors.camera.faults import FAULTS, RAW_TITLES
+from sim.settings import DeploymentImageFaultSettings
 
 NO_FAULT, NO_CHANGE = "no fault", "no change"
+IMAGE_TITLES = {name: title for fault in FAULTS for name, title in fault.titles.items()} | RAW_TITLES
 # formats of a fault's strength, by the setting's name
 TITLES = {
-    **{f"image_faults.{name}": title for fault in FAULTS for name, title in fault.titles.items()},
+    **{f"image_faults.{name}": title for name, title in IMAGE_TITLES.items()},
+    **{f"deployment.image_faults.{name}": IMAGE_TITLES[name] for name in DeploymentImageFaultSettings.model_fields},
+    "drive.samples": "the first {:g} images",
+    "camera.rings": "{:g} rings",
+    "camera.sectors": "{:g} sectors",
     "camera_mount.driven_m": "driven {:g} m during exposure",
     "camera_mount.roll_deg": "tilted {:g}° to the right",
     "camera_mount.pitch_deg": "tilted {:g}° forward",
@@ -26,11 +33,15 @@ TITLES = {
     "deployment.daylight": "daylight x {:g}",
     "deployment.lamp_on": "a lamp switched on",
     "deployment.exposure": "automatic exposure",
-    "deployment.person": "a person in view",
+    "deployment.person": "{:g} persons in view",
     "deployment.moved_m": "furniture moved {:g} m",
     "deployment.camera_mount.roll_deg": "knocked {:g}° to the right",
+    "deployment.camera_mount.wobble_deg": "wobbling by {:g}°",
     "deployment.camera_mount.centre_px": "knocked, optical centre off by {:g} of 480 px",
 }
+SINGULARS = {("deployment.person", 1): "a person in view"}  # Words for single values
+TRAINING_NAMES = ("drive.person", "drive.mixed_light")
+"""Settings that bring a change in deployment into training: its title is that of the other."""
 LEANS = {"camera_mount.roll_deg": "tilted", "deployment.camera_mount.roll_deg": "knocked"}
 CHANGE_TIMES = {True: "deployment only", False: "training and deployment"}
 CAMERA_NOTE = (
@@ -55,6 +66,12 @@ CHANGE_NOTE = (
     "none of the changes but that of the light, and that only with several lights: daylight 0.3, lamps off, night. "
     "Test positions that moved furniture covers are left out."
 )
+REALITY_NOTE = (
+    f"{GRID}Everything is rendered in the faulty camera, room or light. Base: the mean without faults. In training and "
+    "deployment: the method has learned from faulty images, too; in deployment only, from sound ones. Furniture is "
+    "moved after training alone, and coarser or fewer images are those of training, too. Test positions that moved "
+    "furniture covers are left out."
+)
 DRIVES = "drives"  # The column of the report "knowing" that holds deployment drives as JSON
 KNOWING_NOTE = (
     "All of the deployment drive. Refused: share of its images; then the share of the images with each cause, also of "
@@ -75,13 +92,25 @@ def name_faults(rows: Sequence[Row], varied: Sequence[str]) -> list[Row]:
     named = []
     for row in rows:
         faults = [name for name in usual if row[name] != usual[name]]
-        title = ", ".join(TITLES.get(name, f"{name} {{}}").format(row[name]) for name in faults) or NO_FAULT
+        shown = [name for name in faults if name not in TRAINING_NAMES] or faults
+        title = ", ".join(_write_fault(name, row[name]) for name in shown) or NO_FAULT
         deployed = bool(faults) and all(name.startswith("deployment.") for name in faults)
         lean = f"{LEANS[faults[0]]}_{row[faults[0]]:g}" if len(faults) == 1 and faults[0] in LEANS else None
         case = f"{title}, {CHANGE_TIMES[True]}" if deployed else title
         named.append({**row, "fault": title, "in": CHANGE_TIMES[deployed], "case": case, "lean": lean})
     named.sort(key=lambda row: row["in"] == CHANGE_TIMES[True])
     return add_base(named, {"fault": NO_FAULT}, ["method"])
+
+
+def pair_faults(rows: Sequence[Row], varied: Sequence[str]) -> list[Row]:
+    """The same rows, those of a fault in deployment alone after those of the same fault in training, too."""
+    named = name_faults(rows, varied)
+    order = list(dict.fromkeys(row["fault"] for row in named))
+    return sorted(named, key=lambda row: order.index(row["fault"]))
+
+
+def _write_fault(name: str, value: Any) -> str:
+    return SINGULARS.get((name, value)) or TITLES.get(name, f"{name} {{}}").format(value)
 
 
 def name_changes(rows: Sequence[Row], varied: Sequence[str]) -> list[Row]:
@@ -140,6 +169,14 @@ def _list_targets_of_camera() -> list[Target]:
     return [*targets, Target("compass_{lean}_ratio", title, "median_m/base", compass, each="fault", per="lean")]
 
 
+def _list_targets_of_reality() -> list[Target]:
+    name, title, both = "{method}_%s_median_m", "{label}: median, %s", CHANGE_TIMES[False]
+    return [
+        Target(name % key, title % fault, "median_m", {"fault": fault, "in": both}, per="method")
+        for key, fault in (("clean", NO_FAULT), ("wobble_1", "wobbling by 1°"))
+    ]
+
+
 def _list_targets_of_change() -> list[Target]:
     ours, title = (
         {"method": "deepgps_compass", "values": "ranks", "mixed": False},
@@ -189,6 +226,13 @@ REPORTS = {
         targets=_list_targets_of_change(),
         pictures={"change": Dots("change", "training", clean={"change": NO_CHANGE})},
         varies=(LIGHT,),
+    ),
+    "reality": StudyReport(
+        (Table("fault in", "", across="method", each="median_m rms_m accepted rms_accepted_m"),),
+        REALITY_NOTE,
+        pair_faults,
+        targets=_list_targets_of_reality(),
+        pictures={"reality": Dots("case", clean={"fault": NO_FAULT})},
     ),
     "knowing": StudyReport(
         (_DRIVES,),

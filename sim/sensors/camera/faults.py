@@ -1,4 +1,4 @@
-"""Faults of the camera that act on a finished image: linear light -> smear -> falloff -> exposure -> noise -> code.
+"""Faults of the camera that act on a finished image: linear light -> smear -> mast -> falloff -> exposure -> noise.
 
 They are pure functions, like those of the encoders: a recording with such faults is derived from the one without, and
 nothing is rendered again. Image values are taken as sRGB (IEC 61966-2-1), as in a camera's files; all faults act on the
@@ -13,11 +13,12 @@ import numpy as np
 
 from sim.rng import stream
 from sim.sensors.catalog import Measure, Measures
-from sim.settings import ImageFaultSettings, SimSettings
+from sim.settings import DeploymentImageFaultSettings, ImageFaultSettings, SimSettings
 
 MIN_SMEAR_SECTORS = 1e-6  # A smear that is narrower than this, in sectors, is none
 SENSOR_PX = 480
 """Diameter of the image's circle on the sensor [px]; a polar pixel is the mean of the sensor pixels it covers."""
+MAST_LIGHT = 0.05  # Light of a mast that hides a part of the view, as a fraction of white
 _STEPS = 65535  # steps of linear light, far finer than any sRGB step
 
 
@@ -38,10 +39,23 @@ def spawn_streams(seed: int) -> CameraStreams:
 
 
 def make_measures(settings: SimSettings, seed: int) -> Measures:
-    """Return the functions that apply the faults to images."""
-    chance = spawn_streams(seed)
-    noises = (chance.noise, chance.test_noise, chance.turn_noise)
-    return Measures(*(make_develop(settings.image_faults, noise) for noise in noises))
+    """Return the functions that apply the faults to images, at test positions those in deployment."""
+    chance, faults = spawn_streams(seed), settings.image_faults
+    deployed = faults.override(settings.deployment.image_faults)
+    return Measures(
+        make_develop(faults, chance.noise),
+        make_develop(deployed, chance.test_noise),
+        make_develop(faults, chance.turn_noise),
+    )
+
+
+def drop_faults(settings: SimSettings) -> SimSettings:
+    """The settings without faults of finished images, in training and in deployment."""
+    deployed = settings.deployment.image_faults
+    none = dict.fromkeys(_FAULTLESS_VALUES.keys() & DeploymentImageFaultSettings.model_fields.keys())
+    deployment = settings.deployment.model_copy(update={"image_faults": deployed.model_copy(update=none)})
+    faultless = settings.image_faults.model_copy(update=_FAULTLESS_VALUES)
+    return settings.model_copy(update={"image_faults": faultless, "deployment": deployment})
 
 
 def make_develop(settings: ImageFaultSettings, rng: np.random.Generator) -> Measure | None:
@@ -88,6 +102,15 @@ def smear(light: np.ndarray, turn_deg: float) -> np.ndarray:
         weight = (_ramp(aside + width / 2) - _ramp(aside - width / 2)) / width
         smeared += np.roll(light, aside, axis=2) * np.float32(weight)
     return smeared
+
+
+def hide(light: np.ndarray, hidden_deg: float) -> np.ndarray:
+    """Light (n, rings, sectors, 3) with a dark mast behind the robot in whole sectors, as many as make the angle."""
+    sectors = light.shape[2]
+    count = round(hidden_deg / 360.0 * sectors)
+    hidden = light.copy()
+    hidden[:, :, (sectors - count) // 2 :][:, :, :count] = MAST_LIGHT
+    return hidden
 
 
 def vignette(rings: int, lost: float) -> np.ndarray:
@@ -158,8 +181,13 @@ FAULTS = (
     ImageFault(
         {"turn_deg": "turned {:g}° during exposure"}, lambda light, settings, rng: smear(light, settings.turn_deg)
     ),
+    ImageFault(
+        {"hidden_deg": "{:g}° of the view hidden"}, lambda light, settings, rng: hide(light, settings.hidden_deg)
+    ),
     ImageFault({"vignetting": "vignetting {:g}", "exposure": "exposure x {:g}"}, _attenuate),
     ImageFault({"read_noise": "read noise {:g}", "shot_noise": "shot noise {:g}"}, _add_noise),
 )
 """Faults in the order in which they act on the light."""
+RAW_TITLES = {"glare": "glare {:g}", "jpeg_kb": "JPEG of {:g} kB"}
+"""Wording of the faults of the round image, as those above."""
 _FAULTLESS_VALUES = {name: ImageFaultSettings.model_fields[name].default for fault in FAULTS for name in fault.titles}

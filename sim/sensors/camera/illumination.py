@@ -8,7 +8,7 @@ of one colour belongs to a lamp; one with a picture belongs to a window or a scr
 """
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Literal, get_args
@@ -105,8 +105,10 @@ class Illumination:
         self._sources = sources
         self._cameras = {kind: Fisheye(_whiten(model, sources, kind), camera, mount) for kind in sources}
 
-    def draw(self, data: mujoco.MjData, lean: np.ndarray | None, dress: Dress) -> dict[str, np.ndarray]:
-        """Illumination (rings, sectors, 3) by each kind of source, as a fraction of white, of a state with its
+    def draw(
+        self, data: mujoco.MjData, lean: np.ndarray | None, dress: Dress, look: Callable = Fisheye.polar
+    ) -> dict[str, np.ndarray]:
+        """Illumination (rows, columns, 3) by each kind of source, as a fraction of white, of a state with its
         kinematics.
 
         The camera leans (2,) [rad]; ``dress`` adds to the scene what the room does not have; it becomes white too.
@@ -120,7 +122,7 @@ class Illumination:
             _set_lights(scene, sources)
 
         return {
-            kind: camera.polar(data, lean, partial(light, sources=self._sources[kind])) / np.float32(255.0)
+            kind: look(camera, data, lean=lean, dress=partial(light, sources=self._sources[kind])) / np.float32(255.0)
             for kind, camera in self._cameras.items()
         }
 

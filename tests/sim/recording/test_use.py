@@ -114,12 +114,20 @@ def test_less_light_and_a_lean_in_deployment_change_its_images_and_no_training_i
     assert (seen.mean(axis=(1, 2, 3)) < 0.7 * before.mean(axis=(1, 2, 3))).all()
 
 
-@pytest.mark.slow  # quick: the same with less light
-def test_a_camera_that_leans_in_deployment_leans_in_tests_and_in_the_deployment_drive_alone(plain, sound, tmp_path):
-    settings = change(plain, deployment={"drive_samples": DRIVE_SAMPLES, "camera_mount": {"roll_deg": 5.0}})
-    collect(settings, 0, tmp_path / "leaning", quiet, workers=1)
-    leaning, level = read_files(tmp_path / "leaning"), read_files(sound[1])
-    assert {name for name in level if leaning[name] != level[name]} == IMAGES
+def test_faults_of_images_in_deployment_alone_change_no_training_image(plain, sound, tmp_path):
+    for name, faults, more in (
+        ("derived", {"read_noise": 0.1, "hidden_deg": 45.0}, {}),
+        ("rendered", {"glare": 0.1, "jpeg_kb": 10.0}, {"person": 3, "camera_mount": {"wobble_deg": 2.0}}),
+    ):
+        settings = change(plain, deployment={"drive_samples": DRIVE_SAMPLES, "image_faults": faults, **more})
+        collect(settings, 0, tmp_path / name, quiet, workers=1)
+        faulty, clean = read_files(tmp_path / name), read_files(sound[1])
+        assert {file for file in clean if faulty[file] != clean[file] and not file.endswith("scene.glb")} == IMAGES
+        assert (explain_misfit(sound[1], settings, 0) is None) == (not more)
+        if not more:
+            derive(sound[1], settings, 0, tmp_path / "again")
+            assert read_files(tmp_path / "again") == faulty
+            assert "cannot be taken away" in (explain_misfit(tmp_path / name, plain, 0) or "")
 
 
 def test_what_the_mount_leaves_open_is_as_in_training(plain):
@@ -247,8 +255,12 @@ def test_light_takes_turns_in_a_room_with_a_camera(plain):
     assert [light_part(mixed, number).deployment for number in range(6)] == [*LIGHT_STATES, *LIGHT_STATES[:2]]
     assert light_part(plain, 1) is plain
     assert not choose_deployment(mixed).drive.mixed_light
+    crowded = change(plain, drive={"mixed_light": True, "person": 2})
+    assert {light_part(crowded, number).deployment.person for number in range(4)} == {2}
+    assert choose_deployment(crowded).drive.person == choose_deployment(crowded).deployment.person == 0
     for settings, message in (
         ({"drive": {"mixed_light": True}}, r"drive\.mixed_light needs world room and sensor fisheye"),
+        ({"drive": {"person": 1}}, r"drive\.person needs world room and sensor fisheye"),
         ({"deployment": {"person": True}}, "deployment changes what a camera sees"),
     ):
         with pytest.raises(ValidationError, match=message):

@@ -291,6 +291,7 @@ def test_what_cannot_be_logged_is_said_before_any_work(settings, tmp_path):
         ("b.mcap", None, {"sensor": "lidar"}, "needs world room and sensor fisheye"),
         ("b.mcap", None, {"image_faults": ImageFaultSettings(exposure=0.5)}, "image_faults applies to polar images"),
         ("b.mcap", None, {"drive": DriveSettings(mixed_light=True)}, "drive.mixed_light applies to polar images"),
+        ("b.mcap", None, {"drive": DriveSettings(person=2)}, "drive.person applies to polar images"),
     ):
         if content is not None:
             (tmp_path / name).write_bytes(content)

@@ -1,15 +1,20 @@
 """The studies of assets/studies ask what they are meant to ask."""
 
+from itertools import groupby
+
 import pytest
 
 from deepgps.config.scenario import names_in
+from deepgps.config.spelling import list_settings
 from deepgps.studies.engine.recordings import find_drives
 from deepgps.studies.plan import Plan, plan_runs
 from deepgps.studies.reports import changes
 from deepgps.studies.study import load_study
+from deepgps.studies.table import read_setting
 from sim.errors import InputError
 from sim.files import STUDIES
-from sim.settings import CameraMountSettings, DeploymentSettings, EncoderSettings, ImageFaultSettings
+from sim.recording.derive import keep_training_settings
+from sim.settings import EncoderSettings, SimSettings
 
 
 def plan(name: str, full: bool = False) -> list[Plan]:
@@ -36,12 +41,26 @@ def test_strategies_differ_in_nothing_but_the_strategy_and_have_batches_of_one_s
 
 
 def test_every_fault_of_the_camera_has_words_and_is_in_a_study() -> None:
-    groups = {"image_faults": ImageFaultSettings, "camera_mount": CameraMountSettings, "deployment": DeploymentSettings}
-    known = {f"{group}.{name}" for group, kind in groups.items() for name in kind.model_fields}
-    assert known - set(changes.TITLES) == {"deployment.drive_samples", "deployment.camera_mount"}
-    camera, change = (load_study(name, tiny=False).cases for name in ("camera", "change"))
-    assert set(changes.TITLES) - {name for case in (*camera, *change) for name in case} == {"camera_mount.pitch_deg"}
-    assert all(len(case) <= 1 for case in camera)
+    groups = ("image_faults", "camera_mount", "deployment", "deployment.image_faults")
+    known = {name for name, _ in list_settings(SimSettings) if name.rpartition(".")[0] in groups}
+    assert known - set(changes.TITLES) == {"deployment.drive_samples"}
+    cases = [load_study(name, tiny=False).cases for name in ("camera", "change", "reality")]
+    studied = {name for some in cases for case in some for name in case}
+    assert set(changes.TITLES) - studied == {"camera_mount.pitch_deg"}
+    assert all(len(case) <= 1 for case in cases[0])
+
+
+def test_the_study_of_reality_puts_faults_in_deployment_alone_beside_those_in_training_and_shares_drives() -> None:
+    plans = plan("reality")
+    names = sorted({name for one in plans for name in one.varied})
+    rows = [{name: read_setting(one.scenario, name) for name in names} for one in plans]
+    errors = dict.fromkeys(("rms_m", "median_m", "p95_m", "max_m"), 0.1)
+    named = changes.pair_faults([{**row, **errors, "method": "knn"} for row in rows], names)
+    groups = [(fault, [row["in"] for row in some]) for fault, some in groupby(named, lambda row: row["fault"])]
+    pairs = {fault for fault, places in groups if places == [*changes.CHANGE_TIMES.values()][::-1]}
+    assert len(groups) == len({fault for fault, _ in groups}) == 21
+    assert len(pairs) == 12 and {"daylight x 0.3", "JPEG of 10 kB", "a person in view", "wobbling by 1°"} < pairs
+    assert len({keep_training_settings(drive.sim) for drive in find_drives(plans).values()}) == 11
 
 
 def test_the_camera_study_draws_nothing_again_for_faults_of_finished_images() -> None:

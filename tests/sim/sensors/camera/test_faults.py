@@ -8,21 +8,26 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sim.sensors.camera.faults import (
+    FAULTS,
+    MAST_LIGHT,
     add_noise,
     count_sensor_pixels,
     decode,
     develop,
     encode,
+    hide,
     make_develop,
     smear,
     spawn_streams,
     vignette,
 )
-from sim.settings import ImageFaultSettings
+from sim.settings import ImageFaultSettings, SimSettings
 
 RINGS, SECTORS = 8, 32
 ALL_CODES = np.arange(256, dtype=np.uint8)
-FAULTY_SETTINGS = ImageFaultSettings(exposure=0.7, vignetting=0.4, read_noise=0.3, shot_noise=0.6, turn_deg=9.0)
+FAULTY_VALUES = {"exposure": 0.7, "vignetting": 0.4, "read_noise": 0.3, "shot_noise": 0.6, "turn_deg": 9.0}
+FAULTY_VALUES |= {"hidden_deg": 135.0}
+FAULTY_SETTINGS = ImageFaultSettings(**FAULTY_VALUES)
 
 
 def draw_images(count: int = 3, seed: int = 0) -> np.ndarray:
@@ -55,7 +60,8 @@ def test_what_is_off_changes_nothing():
 
 
 def test_each_fault_is_one():
-    for name, strength in FAULTY_SETTINGS:
+    assert FAULTY_VALUES.keys() == {name for fault in FAULTS for name in fault.titles}
+    for name, strength in FAULTY_VALUES.items():
         fault_of = make_develop(ImageFaultSettings(**{name: strength}), np.random.default_rng(0))
         assert fault_of is not None
         assert (fault_of(draw_images()) != draw_images()).mean() > 0.3
@@ -153,3 +159,23 @@ def test_no_turn_smears_nothing_and_a_little_one_hardly():
     np.testing.assert_array_equal(smear(light, 0.0), light)
     for turn_deg in (0.01, 1e-13, 1e-16):
         np.testing.assert_allclose(smear(light, turn_deg), light, atol=1e-3)
+
+
+@given(st.integers(1, SECTORS // 2))
+def test_a_mast_hides_whole_sectors_behind_the_robot_and_changes_no_other(count: int):
+    light = draw_light()
+    hidden = hide(light, 360.0 * count / SECTORS)
+    covered = (hidden == np.float32(MAST_LIGHT)).all(axis=(0, 1, 3))
+    assert covered.sum() == count and abs(np.flatnonzero(covered).mean() - (SECTORS - 1) / 2) <= 0.5
+    np.testing.assert_array_equal(hidden[:, :, ~covered], light[:, :, ~covered])
+
+
+def test_faults_that_are_off_are_not_written_so_that_recordings_keep_their_digest():
+    deployment = {"image_faults": {}, "person": False, "camera_mount": {"wobble_deg": None}}
+    faults = dict.fromkeys(("hidden_deg", "glare", "jpeg_kb"), 0.0)
+    off = SimSettings.model_validate({"image_faults": faults, "drive": {"person": 0}, "deployment": deployment})
+    assert not any(name in off.model_dump_json() for name in (*faults, 'wobble_deg":null', '"person":0'))
+    on = off.model_validate(
+        {"image_faults": {"glare": 0.1}, "deployment": {"image_faults": {"glare": 0.0}, "person": 3}}
+    )
+    assert SimSettings.model_validate_json(on.model_dump_json()) == on

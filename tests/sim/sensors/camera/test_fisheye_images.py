@@ -11,13 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sim.errors import InputError
+from sim.geometry import FreeSpace
 from sim.recording.chunks import observe
 from sim.robot.model import RADIUS_M
 from sim.robot.world import RoomWorld
 from sim.rooms.build import build_room
 from sim.rooms.free_space import find_free_space
 from sim.sensors.camera.faults import decode
-from sim.sensors.camera.fisheye_images import PERSON_HEIGHT_M, PERSON_RADIUS_M, place_lamp, place_person
+from sim.sensors.camera.fisheye_images import PERSON_HEIGHT_M, PERSON_RADIUS_M, Persons, place_lamp
 from sim.sensors.camera.illumination import (
     MAX_LIGHTS,
     TARGET_BRIGHTNESS,
@@ -129,19 +130,42 @@ def test_a_person_is_drawn_at_another_place_in_each_image_and_again_at_the_same(
     assert (first != plain).any()
 
 
-def test_a_person_has_room_and_never_touches_the_robot(states: np.ndarray):
-    room = build_room(ROOM).compile()
-    space = find_free_space(room, PERSON_RADIUS_M, PERSON_HEIGHT_M)
-    places = []
-    for number in range(200):
-        state = states[number % 2].copy()
-        state[7] = number  # a wheel's angle: another image at the same place
-        shapes = place_person(space, state, seed=1)
-        middle = shapes[-1].place[:2]
-        places.append(middle)
-        assert np.linalg.norm(middle - state[:2]) > PERSON_RADIUS_M + RADIUS_M
-        assert space.is_reachable(middle[None])[0]
-    assert len(np.unique(np.round(places, 3), axis=0)) > 50
+@pytest.fixture(scope="module")
+def floor() -> FreeSpace:
+    return find_free_space(build_room(ROOM).compile(), PERSON_RADIUS_M, PERSON_HEIGHT_M)
+
+
+def find_persons(persons: Persons, state: np.ndarray, floor: FreeSpace) -> np.ndarray:
+    """Where persons are (n, 2) [m], by their heads; each has room, and none touches the robot."""
+    places = np.array([shape.place[:2] for shape in persons.draw(state)[6::7]]).reshape(-1, 2)
+    assert (np.linalg.norm(places - state[:2], axis=1) > PERSON_RADIUS_M + RADIUS_M).all()
+    around = floor.cell_m * np.stack(np.meshgrid([-1, 0, 1], [-1, 0, 1]), axis=-1).reshape(-1, 2)
+    assert floor.is_reachable(places[:, None] + around).any(axis=1).all(), "between cells, one of them"
+    return places
+
+
+def test_persons_stand_apart_from_a_robot_that_was_put_there(states: np.ndarray, floor: FreeSpace):
+    persons, one, found, state = Persons(floor, 3, seed=1), Persons(floor, 1, seed=1), [], states[0].copy()
+    for number in range(100):
+        state[6] = number / 1e6  # another image at the same place
+        found.append(find_persons(persons, state, floor))
+        assert np.array_equal(found[-1][:1], find_persons(one, state, floor)), "more persons move none"
+    assert len(np.unique(np.concatenate(found).round(3), axis=0)) > 150
+
+
+def test_persons_walk_and_stand_while_the_robot_drives_and_stop_before_it(states: np.ndarray, floor: FreeSpace):
+    clock = np.arange(0.5, 10 * 60.0, 0.5)
+    drive = np.tile(states[0], (len(clock), 1))
+    drive[:, 7:], drive[:, :2] = clock[:, None], floor.origin - 10.0  # out of the way
+    persons = Persons(floor, 2, seed=1)
+    places = np.array([find_persons(persons, state, floor) for state in drive])
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=-1)
+    assert steps.max() <= 0.5 * 0.15 + 0.02 and 0.05 < (steps > 0.0).mean() < 0.95, "nobody jumps"
+    again = find_persons(Persons(floor, 2, seed=1), drive[-1], floor)
+    assert np.array_equal(again, places[-1]), "whichever images are taken before"
+    for state, place in zip(drive[::37], places[::37, 0], strict=True):
+        state[:2] = place  # where a person would be
+        find_persons(persons, state, floor)
 
 
 @pytest.mark.parametrize(("ceiling_m", "lamp_m"), [(None, 2.0), (3.0, 2.0), (1.85, 1.75)])
