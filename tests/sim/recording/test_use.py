@@ -124,16 +124,15 @@ def test_faults_of_images_in_deployment_alone_change_no_training_image(plain, so
         faulty, clean = read_files(tmp_path / name), read_files(sound[1])
         assert {file for file in clean if faulty[file] != clean[file] and not file.endswith("scene.glb")} == IMAGES
         assert (explain_misfit(sound[1], settings, 0) is None) == (not more)
-        if not more:
-            derive(sound[1], settings, 0, tmp_path / "again")
-            assert read_files(tmp_path / "again") == faulty
-            assert "cannot be taken away" in (explain_misfit(tmp_path / name, plain, 0) or "")
+    assert "cannot be taken away" in (explain_misfit(tmp_path / "derived", plain, 0) or "")
 
 
 def test_what_the_mount_leaves_open_is_as_in_training(plain):
-    changes = {"camera_mount": {"pitch_deg": 0.0}, "light": 0.5, "drive_samples": 20}
-    used = choose_deployment(change(plain, camera_mount={"roll_deg": 1.0, "pitch_deg": 2.0}, deployment=changes))
+    changes = {"camera_mount": {"pitch_deg": 0.0}, "image_faults": {"glare": 0.0}, "light": 0.5, "drive_samples": 20}
+    training = {"camera_mount": {"roll_deg": 1.0, "pitch_deg": 2.0}, "image_faults": {"glare": 0.1, "jpeg_kb": 9.0}}
+    used = choose_deployment(change(plain, **training, deployment=changes))
     assert used.camera_mount == CameraMountSettings(roll_deg=1.0, pitch_deg=0.0)
+    assert used.image_faults == plain.image_faults.model_copy(update={"jpeg_kb": 9.0})
     assert used.deployment == DeploymentSettings(light=0.5)
     assert used.drive.samples == 20
 
@@ -149,7 +148,7 @@ def test_derived_is_as_collected(samples: int, deployed: int, sound, tmp_path):
         drive={"samples": samples},
         encoder={"ticks_per_rev": 128, "step_noise": 0.1, "dropout": 0.2},
         image_faults={"exposure": 0.5, "read_noise": 0.1},
-        deployment={"drive_samples": deployed},
+        deployment={"drive_samples": deployed, "image_faults": {"read_noise": 0.2, "hidden_deg": 45.0}},
     )
     collect(settings, 0, tmp_path / "collected", quiet, workers=1)
     derive(sound[1], settings, 0, tmp_path / "derived")
@@ -255,9 +254,9 @@ def test_light_takes_turns_in_a_room_with_a_camera(plain):
     assert [light_part(mixed, number).deployment for number in range(6)] == [*LIGHT_STATES, *LIGHT_STATES[:2]]
     assert light_part(plain, 1) is plain
     assert not choose_deployment(mixed).drive.mixed_light
-    crowded = change(plain, drive={"mixed_light": True, "person": 2})
-    assert {light_part(crowded, number).deployment.person for number in range(4)} == {2}
-    assert choose_deployment(crowded).drive.person == choose_deployment(crowded).deployment.person == 0
+    crowd = change(plain, drive={"mixed_light": True, "person": 2})
+    assert [light_part(crowd, part).deployment.person for part in (0, 1)] == [2, 2]
+    assert choose_deployment(crowd).drive == choose_deployment(plain).drive
     for settings, message in (
         ({"drive": {"mixed_light": True}}, r"drive\.mixed_light needs world room and sensor fisheye"),
         ({"drive": {"person": 1}}, r"drive\.person needs world room and sensor fisheye"),

@@ -44,18 +44,16 @@ def test_every_fault_of_the_camera_has_words_and_is_in_a_study() -> None:
     groups = ("image_faults", "camera_mount", "deployment", "deployment.image_faults")
     known = {name for name, _ in list_settings(SimSettings) if name.rpartition(".")[0] in groups}
     assert known - set(changes.TITLES) == {"deployment.drive_samples"}
-    cases = [load_study(name, tiny=False).cases for name in ("camera", "change", "reality")]
-    studied = {name for some in cases for case in some for name in case}
-    assert set(changes.TITLES) - studied == {"camera_mount.pitch_deg"}
-    assert all(len(case) <= 1 for case in cases[0])
+    cases = [case for name in ("camera", "change", "reality") for case in load_study(name, tiny=False).cases]
+    assert set(changes.TITLES) - {name for case in cases for name in case} == {"camera_mount.pitch_deg"}
+    assert all(len(case) <= 1 for case in load_study("camera", tiny=False).cases)
 
 
 def test_the_study_of_reality_puts_faults_in_deployment_alone_beside_those_in_training_and_shares_drives() -> None:
     plans = plan("reality")
     names = sorted({name for one in plans for name in one.varied})
-    rows = [{name: read_setting(one.scenario, name) for name in names} for one in plans]
-    errors = dict.fromkeys(("rms_m", "median_m", "p95_m", "max_m"), 0.1)
-    named = changes.pair_faults([{**row, **errors, "method": "knn"} for row in rows], names)
+    rows = [{"method": "knn", **{name: read_setting(one.scenario, name) for name in names}} for one in plans]
+    named = changes.pair_faults(rows, names)
     groups = [(fault, [row["in"] for row in some]) for fault, some in groupby(named, lambda row: row["fault"])]
     pairs = {fault for fault, places in groups if places == [*changes.CHANGE_TIMES.values()][::-1]}
     assert len(groups) == len({fault for fault, _ in groups}) == 21

@@ -25,8 +25,7 @@ from sim.settings import ImageFaultSettings, SimSettings
 
 RINGS, SECTORS = 8, 32
 ALL_CODES = np.arange(256, dtype=np.uint8)
-FAULTY_VALUES = {"exposure": 0.7, "vignetting": 0.4, "read_noise": 0.3, "shot_noise": 0.6, "turn_deg": 9.0}
-FAULTY_VALUES |= {"hidden_deg": 135.0}
+FAULTY_VALUES = dict(exposure=0.7, vignetting=0.4, read_noise=0.3, shot_noise=0.6, turn_deg=9.0, hidden_deg=135.0)
 FAULTY_SETTINGS = ImageFaultSettings(**FAULTY_VALUES)
 
 
@@ -175,7 +174,5 @@ def test_faults_that_are_off_are_not_written_so_that_recordings_keep_their_diges
     faults = dict.fromkeys(("hidden_deg", "glare", "jpeg_kb"), 0.0)
     off = SimSettings.model_validate({"image_faults": faults, "drive": {"person": 0}, "deployment": deployment})
     assert not any(name in off.model_dump_json() for name in (*faults, 'wobble_deg":null', '"person":0'))
-    on = off.model_validate(
-        {"image_faults": {"glare": 0.1}, "deployment": {"image_faults": {"glare": 0.0}, "person": 3}}
-    )
+    on = off.model_validate({"drive": {"person": 1}, "deployment": {"image_faults": {"glare": 0.0}, "person": 3}})
     assert SimSettings.model_validate_json(on.model_dump_json()) == on
