@@ -18,10 +18,10 @@ from deepgps.diagnosis.diagnosis import (
 from deepgps.diagnosis.findings import as_stored
 from deepgps.diagnosis.gaps import mend_stuck
 from deepgps.runs.owned_folder import hold
-from deepgps.runs.run_folder import RUN, is_study
+from deepgps.runs.run_folder import RUN, drop_viewed, is_study
 from deepgps.terminal.progress import Report
 from sim.errors import DamagedError, InputError, shorten
-from sim.files.checksums import FORMAT, drop_sum, read_json, write_json
+from sim.files.checksums import FORMAT, read_json, write_json
 from sim.recording.format import Recording, open_recording
 
 FILE = "diagnosis.json"
@@ -118,8 +118,7 @@ def diagnose_folder(folder: Path, out: Path | None, progress: Report) -> tuple[D
     if run is not None and path == run / FILE:
         with hold(run, RUN, "the run"):
             if read_diagnosis(run, recording) != diagnosis:
-                drop_sum(run / "run.rrd")  # the viewer's recording shows the diagnosis
-                (run / "run.rrd").unlink(missing_ok=True)
+                drop_viewed(run)
             write_diagnosis(run / FILE, diagnosis, recording)
     elif path is not None:
         write_diagnosis(path, diagnosis, recording)

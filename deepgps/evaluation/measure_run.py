@@ -7,10 +7,10 @@ from typing import Any
 from deepgps.config.scenario import Scenario
 from deepgps.evaluation.stored_alignment import has_alignment
 from deepgps.runs.provenance import describe_environment, stage_times, timed
-from deepgps.runs.run_folder import METRICS, TRUTHLESS_METRICS
+from deepgps.runs.run_folder import METRICS, TRUTHLESS_METRICS, drop_viewed
 from deepgps.terminal.progress import Report
 from sim.errors import DamagedError
-from sim.files.checksums import drop_sum, read_arrays, read_json, write_json
+from sim.files.checksums import read_arrays, read_json, write_json
 from sim.recording.format import has_truth, open_recording
 
 log = logging.getLogger(__name__)
@@ -39,8 +39,7 @@ def evaluate(scenario: Scenario, folder: Path, progress: Report) -> dict[str, An
         path, measure = folder / TRUTHLESS_METRICS, without_truth.judge
     with timed(folder, "evaluate"):
         measured = measure(folder, scenario, progress)
-    drop_sum(folder / "run.rrd")  # it shows figures that are about to change, and is made again with the new ones
-    (folder / "run.rrd").unlink(missing_ok=True)
+    drop_viewed(folder)
     if path.name == METRICS:
         head = {"scenario": scenario.title, "seed": scenario.seed}
         made_with = describe_environment(folder, measured["methods"].values())

@@ -16,7 +16,7 @@ from deepgps.evaluation.stored_alignment import has_alignment, read_alignment
 from deepgps.learning.trainer import find_device, use_threads
 from deepgps.positioner.stored_positioner import load_positioner
 from deepgps.runs.owned_folder import hold
-from deepgps.runs.run_folder import RUN, list_trained, open_run
+from deepgps.runs.run_folder import RUN, drop_viewed, list_trained, open_run
 from deepgps.terminal.progress import Report
 from deepgps.tracking.motion import rotate
 from deepgps.tracking.track import Track, TrackedPath, is_tum, track_drive, write_track, write_tum
@@ -80,6 +80,7 @@ def _track_held(run: Path, scenario: Scenario, method: str | None, drive: Path |
     known = alignment is not None and has_truth(recording.folder)
     reference = _open_reference(alignment, recording, track) if alignment and known else None
     figures = {**_describe(name, len(recording.observation), track, reference), **causes}
+    drop_viewed(run)
     write_track(path.with_suffix(".npz"), track)
     write_json(path.with_suffix(".json"), figures)
     return Tracked(name, path, track, figures, alignment, 1e-9 * recording.manifest.start_ns, reference)

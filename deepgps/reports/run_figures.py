@@ -92,13 +92,14 @@ def draw_comparison(space: FreeSpace, fields: Mapping[str, ErrorField], metrics:
     return figure
 
 
-def draw_error_cdf(fields: Mapping[str, ErrorField]) -> Figure:
-    """Plot the share of test positions whose error is at most a given value."""
+def draw_error_cdf(fields: Mapping[str, ErrorField], *before: Mapping[str, ErrorField]) -> Figure:
+    """Plot the share of test positions whose error is at most a given value, dashed for another run before."""
     figure = Figure(figsize=(7.5, 4.6), layout="constrained")
     axes = figure.add_subplot()
-    for name, field in fields.items():
-        share = np.arange(1, len(field.worst) + 1) / len(field.worst)
-        axes.step(np.sort(field.worst), 100 * share, where="post", **_line(name))
+    for some, changes in ((fields, {}), *((one, {"linestyle": "--", "label": None}) for one in before)):
+        for name, field in some.items():
+            share = np.arange(1, len(field.worst) + 1) / len(field.worst)
+            axes.step(np.sort(field.worst), 100 * share, where="post", **_line(name) | changes)
     axes.set_xscale("log")
     axes.set(xlabel="error of the worst heading [m]", ylabel="test positions [%]", ylim=(0, 100))
     axes.xaxis.set_major_formatter(ticker.FormatStrFormatter("%g"))

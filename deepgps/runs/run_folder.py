@@ -13,13 +13,20 @@ from deepgps.runs.inputs import check_inputs, digest, list_inputs, note_inputs
 from deepgps.runs.owned_folder import COMPLETION_FILE, FRESH_FOLDER, Kind, choose_place, discard, hold, replace
 from sim.errors import DamagedError, InputError
 from sim.files.atomic import remove_empty, remove_files, sweep
-from sim.files.checksums import check_lines, write_lines
+from sim.files.checksums import check_lines, drop_sum, write_lines
 from sim.recording.format import RECORDING, WORK_PATH, is_whole
 
 TRAINED_FILES = r"positioner\.json|training\.json|weights\.safetensors|history\.npz|map\.npz|checkpoint\.pt"
 METRICS, TRUTHLESS_METRICS = "metrics.json", "without_truth.json"
 """Figures of a run, and those of a run on a recording without truth."""
+VIEWED = "run.rrd"  # File that the viewer shows of a run
 FEATURE_FILES = r"features\.(safetensors|key)"
+
+
+def drop_viewed(run: Path) -> None:
+    """Remove what the viewer shows of a run, part of which is about to change; the viewer makes it again."""
+    drop_sum(run / VIEWED)
+    (run / VIEWED).unlink(missing_ok=True)
 
 
 def find_run_files() -> re.Pattern[str]:

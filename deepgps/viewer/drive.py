@@ -12,11 +12,10 @@ import rerun as rr
 from deepgps.data.segments import find_lasts, find_starts
 from deepgps.diagnosis.store import read_diagnosis
 from deepgps.evaluation.segment_errors import measure_distances, measure_segments, reckon_path
-from deepgps.reports import plots
 from deepgps.reports.wheels_page import describe_encoders, draw_segments, write_markdown
-from deepgps.viewer.pictures import LARGE_ENTITY, encode_jpeg, log_jpegs, make_warp, warp_round
+from deepgps.viewer.pictures import LARGE_ENTITY, encode_jpeg, log_figure, log_jpegs, make_warp, warp_round
 from deepgps.viewer.scene import LAYER_M, lift
-from deepgps.viewer.stream import Clock, Rows, drive_clock, put, put_text, send_rows, send_series
+from deepgps.viewer.stream import Clock, Rows, drive_clock, put_text, send_rows, send_series
 from sim.recording.format import Recording, Truth
 from sim.sensors.catalog import SENSORS
 from sim.settings import CameraSettings
@@ -136,11 +135,13 @@ def log_images(stream: rr.RecordingStream, recording: Recording) -> None:
         log_jpegs(stream, f"drive/{name}", map(encode_jpeg, coloured), at)
 
 
-def log_polar(stream: rr.RecordingStream, images: Iterable[np.ndarray], warp: np.ndarray, at: Rows) -> None:
+def log_polar(
+    stream: rr.RecordingStream, images: Iterable[np.ndarray], warp: np.ndarray, at: Rows, root: str = "drive"
+) -> None:
     """Log polar images (rings, sectors, 3) at so many times, as they are and as round pictures."""
     pairs = [(encode_jpeg(image), encode_jpeg(warp_round(image, warp))) for image in images]
     for name, blobs in zip(("polar", "fisheye"), zip(*pairs, strict=True), strict=True):
-        log_jpegs(stream, f"drive/{name}", blobs, at)
+        log_jpegs(stream, f"{root}/{name}", blobs, at)
 
 
 def find_pictures(recording: Recording) -> dict[str, str]:
@@ -174,8 +175,7 @@ def log_encoders(stream: rr.RecordingStream, recording: Recording, truth: Truth)
     send_rows(stream, f"{root}/drift", rr.LineStrips3D, at, ends, {"radii": 0.012, "colors": WRONG_COLOUR})
     send_series(stream, "encoders/drift", at, drift, "dead-reckoning drift", WRONG_COLOUR)
     put_text(stream, "encoders/faults", describe_encoders(recording, truth.pose, drift))
-    picture = plots.to_png(draw_segments(*measure_segments(recording, truth.pose)))
-    put(stream, "encoders/segments", rr.EncodedImage(contents=picture, media_type="image/png"))
+    log_figure(stream, "encoders/segments", draw_segments(*measure_segments(recording, truth.pose)))
 
 
 def log_diagnosis(stream: rr.RecordingStream, run: Path) -> None:

@@ -6,7 +6,8 @@ The viewer's tooltip lists up to three components that differ between the arrows
 number. So an entity has its shape, its colours and one short text, and other values are logged above it.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 import rerun as rr
@@ -38,7 +39,7 @@ GOOD_COLOUR, WRONG_COLOUR = (235, 235, 235), (255, 60, 220)
 """Colours of yaws that are off by at most ``LARGE_YAW_ERROR_DEG``, and of others; the error field's colours mean
 positions."""
 SIGMA, SIGMA_TICKS_M = "radius_by_place", (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
-ELLIPSES, ELLIPSE_SCALE, ELLIPSE_SPACING_M, MAX_ELLIPSES, MAX_RADIUS_M = "ellipses_5_times", 5, 0.15, 1_000, 0.1
+ELLIPSES, ELLIPSE_SCALE, ELLIPSE_SPACING_M, MAX_ELLIPSES, MAX_RADIUS_M = "ellipses_5_times", 5, 0.2, 1_000, 0.05
 """Layer, how many times larger they are drawn, distance between two [m], most of them, and the largest radius [m]."""
 COVERAGE, DENSITY = "world/not_covered", "world/images_per_cell"
 CELL_M = 0.25
@@ -47,15 +48,27 @@ REFUSED_RGBA = np.array([*(round(255 * one) for one in to_rgb(REFUSED_COLOUR)), 
 NO_PLACES = ErrorField(np.zeros((0, 2)), np.zeros(1), np.zeros((0, 1, 2)))
 
 
-def log_field(stream: rr.RecordingStream, name: str, field: ErrorField, at: Rows = (), root: str = "world") -> None:
-    """Log a method's errors at the worst heading of each place: large, small and refused ones as separate entities."""
+def log_field(
+    stream: rr.RecordingStream,
+    name: str,
+    field: ErrorField,
+    at: Rows = (),
+    root: str = "world",
+    marks: Mapping[int, str] = MappingProxyType({}),
+) -> None:
+    """Log a method's errors at the worst heading of each place: large, small and refused ones as separate entities.
+
+    Marks by the number of a place are added to what its tooltip says.
+    """
     path, thin = f"{root}/error_field/{name}", find_thinness(field.truth)
     accepted, refused = split_by_acceptance(field)
     large = accepted.error > LARGE_ERROR_M
     for part, chosen in zip(PARTS, (large, ~large), strict=True):
         some = accepted.take(chosen)
-        _log_arrows(stream, f"{path}/worst/{part}", name, some, colours_of(some.error), describe_errors(some), thin, at)
-    said = [f"refused: {one}" for one in describe_errors(refused)]
+        _log_arrows(
+            stream, f"{path}/worst/{part}", name, some, colours_of(some.error), describe_errors(some, marks), thin, at
+        )
+    said = [f"refused: {one}" for one in describe_errors(refused, marks)]
     _log_arrows(stream, f"{path}/worst/{REFUSED_PART}", name, refused, REFUSED_RGBA[None], said, thin, at)
     if not at:
         worst = find_worst(field)
@@ -63,13 +76,14 @@ def log_field(stream: rr.RecordingStream, name: str, field: ErrorField, at: Rows
         put(stream, path, rr.AnyValues(**dict(zip(COLUMNS, columns, strict=True))))
 
 
-def describe_errors(field: WorstField) -> list[str]:
-    """Error, radius, heading and predicted position of each place, short enough for one line of a tooltip."""
-    rows = zip(100 * field.error, _degrees(field.heading), *field.predicted.T, strict=True)
+def describe_errors(field: WorstField, marks: Mapping[int, str] = MappingProxyType({})) -> list[str]:
+    """Error, radius, heading, predicted position and mark of each place, short enough for one line of a tooltip."""
+    mark = [marks.get(cell, "") for cell in np.asarray(field.row)[:, 0].tolist()]
+    rows = zip(100 * field.error, _degrees(field.heading), *field.predicted.T, mark, strict=True)
     radius = [""] * len(field.error) if field.radius is None else [f" (± {100 * one:.1f})" for one in field.radius]
     return [
-        f"{error:.1f}{within} cm, {heading:.0f}° → {x:z.2f}, {y:z.2f}"
-        for within, (error, heading, x, y) in zip(radius, rows, strict=True)
+        f"{error:.1f}{within} cm, {heading:.0f}° → {x:z.2f}, {y:z.2f}{more}"
+        for within, (error, heading, x, y, more) in zip(radius, rows, strict=True)
     ]
 
 

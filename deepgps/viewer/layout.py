@@ -9,25 +9,29 @@ import rerun.blueprint as rrb
 
 from deepgps.config.methods import title_of
 from deepgps.viewer.drive import DIAGNOSIS, POLAR_PICTURES
-from deepgps.viewer.error_field import COVERAGE, DENSITY, ELLIPSE_SCALE, ELLIPSES, SIGMA
+from deepgps.viewer.error_field import COVERAGE, DENSITY, ELLIPSE_SCALE, ELLIPSES, MAX_RADIUS_M, SIGMA
 from deepgps.viewer.making import MAP_ENTITY, TEXT_ENTITY
-from deepgps.viewer.pictures import LARGE_ENTITY
-from deepgps.viewer.places import PICTURES
-from deepgps.viewer.plot import DISTRIBUTION, plot_view
+from deepgps.viewer.pictures import DISTRIBUTION, LARGE_ENTITY
+from deepgps.viewer.places import TRAINING_IMAGES
 from deepgps.viewer.scene import BACKDROP, STILL_BEHAVIOUR
-from deepgps.viewer.stream import PROGRESS, RUN_TIME, lately, until_now
+from deepgps.viewer.stream import DEPLOYMENT, PROGRESS, RUN_TIME, lately, until_now
 from sim.geometry import FreeSpace, limits
 
 HIDDEN_BEHAVIOUR = rrb.EntityBehavior(visible=False)
 TICK_WINDOW_S, TRAIL_S = 60.0, 120.0
+ASPECT = 1.6  # Width of most views over their height
+PLACES = "Places"
 PICTURE_TITLES = {
-    "round": ("Test image, white", "Alike 1, yellow", "Alike 2, yellow", "Closest, green"),
-    "polar": ("Test image, polar", "Alike 1, polar", "Alike 2, polar", "Closest, polar"),
+    "test": "Test image, white",
+    "weight": "What differs, magenta",
+    "answer_1": "At the answer 1, yellow",
+    "answer_2": "At the answer 2, yellow",
+    "closest": "Closest, green",
 }
 TICKS = ("Ticks per gap: left blue, right green", "drive/ticks", TICK_WINDOW_S)
 SEGMENT_ERROR = ("Encoder minus truth [mm]", "drive/segment_error", TICK_WINDOW_S)
 WHEELS = ("Diagnosis of the wheels", DIAGNOSIS)
-PIXEL_TITLES = ("Refused image", "Pixels that differ, magenta")
+LOGARITHM = "0 is 1 cm, 1 is 10 cm, 2 is 1 m"  # What the values of a plot of errors mean
 STEPS, FIGURES = "steps", "report/figures"
 Layers = Mapping[str, Sequence[str]]  # Layers of a method's error field that are hidden at first, by method
 Part = rrb.Container | rrb.View
@@ -40,25 +44,27 @@ def make_blueprint(
     pictures: Mapping[str, str],
     drive_s: float,
     mapped: str | None = None,
-    trust: tuple[str, bool, bool] | None = None,
+    sure: str | None = None,
+    deployed: tuple[str, Mapping[str, str]] | None = None,
 ) -> rrb.Blueprint:
     """The viewer's layout for a finished run, which opens with what matters most, at the end of drive and training.
 
-    It takes titles of the sensors' pictures by name; the method, if any, whose initial map's making is shown; and the
-    method, if any, whose radii are shown by place, whether there are refused images, and pictures of these.
+    It takes titles of the sensors' pictures by name; the methods, if any, whose initial map's making and whose radii
+    by place are shown; and the one whose errors along the deployment drive are, with titles of its ways by name.
     """
     errors = rrb.Horizontal(series_view(*SEGMENT_ERROR, drive_s), series_view(*TICKS, drive_s))
     beside = rrb.Vertical(distribution_view(), text_view("The place at the slider", "place/text"), row_shares=[3, 2])
     return arrange(
         [
             _error_fields(space, layers, ["place/test/**"]),
-            _worst_places(space, "polar" in pictures),
-            *([_trust(space, *trust)] if trust else []),
+            _places(space, "polar" in pictures),
+            *([_trust(space, sure)] if sure else []),
+            *([_deployment(space, *deployed, "polar" in pictures)] if deployed else []),
             _drive(space, pictures, errors),
             *([_making(space, mapped)] if mapped else []),
             *([_training(space, trained, [_loss_view(name) for name in trained])] if trained else []),
             _encoders(space, drive_s),
-            rrb.Horizontal(text_view("Report", "report/text"), beside, column_shares=[2, 3], name="Report"),
+            rrb.Horizontal(text_view("Report", "report/text"), beside, name="Report"),
         ],
         play(PROGRESS),
     )
@@ -149,28 +155,31 @@ def text_view(name: str, origin: str) -> rrb.TextDocumentView:
 
 
 def series_view(
-    name: str, path: str, lately_s: float | None = None, drive_s: float = 0.0, start: Any = None
+    name: str, path: str, lately_s: float | None = None, drive_s: float = 0.0, start: Any = None, legend: bool = False
 ) -> rrb.TimeSeriesView:
-    """A plot along the slider, of everything or of the last seconds, whose name says what a legend would."""
+    """A plot along the slider, of everything or of the last seconds; without a legend, its name says as much."""
     infinite = rr.TimeRangeBoundary.infinite()
     whole = rrb.TimeAxis(view_range=rr.TimeRange(start=start or infinite, end=infinite))
     return rrb.TimeSeriesView(
         name=name,
         origin=path,
-        plot_legend=rrb.PlotLegend(visible=False),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=legend),
         axis_x=whole if lately_s is None else None,
         time_ranges=None if lately_s is None else lately(lately_s, drive_s),
     )
 
 
-def aim_eye(space: FreeSpace | None, tilt: float = 0.0, reach: float = 1.0, before: float = 0.25) -> rrb.EyeControls3D:
+def aim_eye(
+    space: FreeSpace | None, tilt: float = 0.0, reach: float = 1.0, before: float = 0.25, aspect: float = ASPECT
+) -> rrb.EyeControls3D:
     """Place the eye above a room, or above one of usual size, with space for the scale in front of it.
 
     It is tilted to the south [rad], ``reach`` times as far away as the plan needs, and looks south of the middle [m].
+    The aspect is the view's width over its height.
     """
     if space is None:
         return look((0.0, -3.0, 6.4), (0.0, -0.3, 0.0))
-    return _aim_at_rectangle(*limits(space), tilt, reach, before)
+    return _aim_at_rectangle(*limits(space), tilt, reach, before, min(aspect, ASPECT))
 
 
 def look(position: Any, target: Any) -> rrb.EyeControls3D:
@@ -179,10 +188,15 @@ def look(position: Any, target: Any) -> rrb.EyeControls3D:
 
 
 def _aim_at_rectangle(
-    low: np.ndarray, high: np.ndarray, tilt: float = 0.0, reach: float = 1.0, before: float = 0.0
+    low: np.ndarray,
+    high: np.ndarray,
+    tilt: float = 0.0,
+    reach: float = 1.0,
+    before: float = 0.0,
+    aspect: float = ASPECT,
 ) -> rrb.EyeControls3D:
     middle = np.array([*(low + high) / 2, 0.0]) - [0, before, 0]
-    distance = reach * (1.2 * max(high[1] - low[1], 0.62 * (high[0] - low[0])) + (0.8 if before else 0.1))
+    distance = reach * (1.2 * max(high[1] - low[1], (high[0] - low[0]) / aspect) + (0.8 if before else 0.1))
     return look(middle + distance * np.array([0.0, -np.sin(tilt), np.cos(tilt)]), middle)
 
 
@@ -193,7 +207,7 @@ def _aim_at(points: np.ndarray, views: int = 1) -> rrb.EyeControls3D:
 
 def distribution_view() -> rrb.Spatial2DView:
     """A view of the distribution of errors."""
-    return plot_view("Distribution of errors", DISTRIBUTION)
+    return rrb.Spatial2DView(name="Distribution of errors", origin=DISTRIBUTION)
 
 
 def _camera_views(pictures: Mapping[str, str]) -> list[Part]:
@@ -226,7 +240,7 @@ def _error_fields(space: FreeSpace, layers: Layers, places: Sequence[str] = ()) 
         field_view("From above", first, aim_eye(space, reach=0.85 if wide else 1.0), around),
         active_tab=0,
     )
-    eye = aim_eye(space, reach=0.85, before=0.0)
+    eye = aim_eye(space, reach=0.85, before=0.0, aspect=4.8 / max(len(others), 1) if wide else ASPECT)
     plans = [field_view(title_of(name), name, eye, ["floor_plan", *coverage]) for name in others]
     figures = text_view("Figures", FIGURES)
     if not wide:
@@ -235,45 +249,54 @@ def _error_fields(space: FreeSpace, layers: Layers, places: Sequence[str] = ()) 
     return rrb.Vertical(above_all, rrb.Horizontal(*plans), row_shares=[5, 3], name="Error field")
 
 
-def _worst_places(space: FreeSpace, pictures: bool) -> Part:
-    """One of the worst places: its test image beside training images, its place on the floor plan, and its numbers."""
-    name, taken = "Worst places", [f"place/{picture}/**" for picture in PICTURES[1:]]
+def _places(space: FreeSpace, pictures: bool) -> Part:
+    """One image at a time, beside training images, its place and its modes on the floor plan, and its numbers."""
+    shown = [
+        "radius",
+        "error",
+        "test",
+        "near",
+        "modes/**",
+        *(f"{name}/**" for name in TRAINING_IMAGES),
+    ]  # without the label
     floor = room_view(
-        "The place, and where the training images were taken",
-        ["floor_plan", "outline", "place/radius", "place/error", "place/test", *taken],  # labels are few as it is
+        "The place, and others that explain the image",
+        ["floor_plan", "outline", *(f"place/{one}" for one in shown)],
         aim_eye(space, reach=0.9, before=0.0),
     )
     texts = [text_view("Place", "place/text"), text_view("Training images", "place/taken")]
     if not pictures:
-        return rrb.Horizontal(floor, rrb.Vertical(*texts, row_shares=[3, 2]), column_shares=[5, 3], name=name)
-    rows = [rrb.Horizontal(*row) for row in _picture_rows("place", PICTURES, PICTURE_TITLES)]
-    below = rrb.Horizontal(floor, *texts, column_shares=[5, 5, 4])
-    return rrb.Vertical(*rows, below, row_shares=[10, 3, 9], name=name)
+        return rrb.Horizontal(floor, rrb.Vertical(*texts, row_shares=[3, 2]), column_shares=[5, 3], name=PLACES)
+    rows = [
+        rrb.Horizontal(*(rrb.Spatial2DView(name=name, origin=f"place/{one}/{kind}") for one, name in titles.items()))
+        for kind, titles in (("round", PICTURE_TITLES), ("polar", dict.fromkeys(PICTURE_TITLES, "Polar")))
+    ]
+    below = rrb.Horizontal(floor, *texts, column_shares=[6, 5, 4])
+    return rrb.Vertical(*rows, below, row_shares=[9, 3, 11], name=PLACES)
 
 
-def _picture_rows(
-    root: str, pictures: Sequence[str], titles: Mapping[str, Sequence[str]]
-) -> list[list[rrb.Spatial2DView]]:
-    """Views of pictures below ``root``, in a row for each kind, which has their titles."""
-    kinds = [(kind, zip(pictures, some, strict=True)) for kind, some in titles.items()]
-    return [[rrb.Spatial2DView(name=title, origin=f"{root}/{one}/{kind}") for one, title in row] for kind, row in kinds]
-
-
-def _trust(space: FreeSpace, method: str, refused: bool, pictures: bool) -> Part:
-    """The radius that a method expects at each place, and images that it refuses: modes, and where they differ."""
-    name, eye = "Trust", aim_eye(space, reach=1.15, before=0.1)
-    title = f"{title_of(method)}: radius of 68 %; ellipses of 95 % up to 10 cm, {ELLIPSE_SCALE} times as large"
+def _trust(space: FreeSpace, method: str) -> Part:
+    """The radius that a method expects at each place, with ellipses."""
+    title = (
+        f"{title_of(method)}: radius of 68 % (grey: refused), and ellipses of 95 % up to {100 * MAX_RADIUS_M:g} cm, "
+        f"{ELLIPSE_SCALE} times as large"
+    )
     layers = [f"error_field/{method}/{layer}" for layer in (SIGMA, ELLIPSES)]
-    sigma = room_view(title, ["floor_plan", "outline", "radius_scale/**", *layers], eye)
-    if not refused:
-        return rrb.Horizontal(sigma, name=name)
-    modes = room_view("Where the refused image may have been taken", ["floor_plan", "outline", "refused/**"], eye)
-    above = rrb.Horizontal(sigma, modes, text_view("Refused image", "refused/text"), column_shares=[5, 5, 4], name=name)
-    if not pictures:
-        return above
-    large, polar = _picture_rows("refused", ("image", "weight"), dict.fromkeys(("round", "polar"), PIXEL_TITLES))
-    below = rrb.Horizontal(*large, rrb.Vertical(*polar), column_shares=[1, 1, 2])
-    return rrb.Vertical(above, below, row_shares=[3, 2], name=name)
+    sigma = room_view(title, ["floor_plan", "outline", "radius_scale/**", *layers], aim_eye(space))
+    return rrb.Horizontal(sigma, name="Trust")
+
+
+def _deployment(space: FreeSpace, method: str, ways: Mapping[str, str], pictures: bool) -> Part:
+    """The deployment drive in the colours of a method's errors along it, for each way of finding positions."""
+    eye, around = aim_eye(space, reach=0.9, aspect=2.9 / len(ways)), ["floor_plan", "outline", "scale/**"]
+    views = [
+        room_view(f"{title_of(method)}: {title}", [*around, f"{DEPLOYMENT}/{name}/**"], eye)
+        for name, title in ways.items()
+    ]
+    below: list[Part] = [series_view(f"Errors along the drive: {LOGARITHM}", f"{DEPLOYMENT}/error", legend=True)]
+    if pictures:
+        below += [rrb.Spatial2DView(name=title, origin=f"{DEPLOYMENT}/{one}") for one, title in POLAR_PICTURES.items()]
+    return rrb.Vertical(rrb.Horizontal(*views), rrb.Horizontal(*below), row_shares=[5, 3], name="Deployment")
 
 
 def _drive(
@@ -331,7 +354,8 @@ def _encoders(space: FreeSpace, drive_s: float) -> Part:
 
 
 def _training(space: FreeSpace, trained: Sequence[str], losses: Sequence[rrb.View]) -> Part:
-    above, front = aim_eye(space, reach=0.85, before=0.0), aim_eye(space)
+    aspect = 4.5 / len(trained)
+    above, front = aim_eye(space, reach=0.85, before=0.0, aspect=aspect), aim_eye(space, aspect=aspect)
     rows = [
         [room_view(f"{title_of(name)}: {title}", [*around, f"{shown}/{name}{below}"], eye) for name in trained]
         for title, around, shown, below, eye in (

@@ -23,7 +23,7 @@ from deepgps.reports.table import tabulate
 from deepgps.runs.run_folder import open_run
 from deepgps.viewer.error_field import find_thinness, log_field
 from deepgps.viewer.layout import aim_eye, arrange, distribution_view, room_view, text_view
-from deepgps.viewer.plot import log_distribution
+from deepgps.viewer.pictures import log_distribution
 from deepgps.viewer.run import hash_run
 from deepgps.viewer.scene import LAYER_M, SCALE_COLOURS, lift, log_room, log_scale, log_strip
 from deepgps.viewer.stream import holds, put_text, save_recording
@@ -183,7 +183,8 @@ def _log_pair(stream: rr.RecordingStream, pair: Pair) -> None:
     if pair.same_floor:
         _log_changes(stream, pair)
     put_text(stream, "report/pair", describe_pair(pair))
-    log_distribution(stream, {name: pair.errors(name) for name in pair.methods}, ("A", "B"))
+    a, b = ({name: side.fields[name] for name in pair.methods} for side in pair.sides.values())
+    log_distribution(stream, b, a)
 
 
 def _log_changes(stream: rr.RecordingStream, pair: Pair) -> None:

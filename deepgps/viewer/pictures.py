@@ -1,14 +1,19 @@
 """Pictures for people: round ones of polar images, JPEG, and large fisheye images that are rendered after a run."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 
 import cv2
 import numpy as np
 import rerun as rr
+from matplotlib import style
+from matplotlib.figure import Figure
 
-from deepgps.viewer.stream import Rows, send_rows
+from deepgps.evaluation.error_field import ErrorField
+from deepgps.reports.plots import SCREEN, to_png
+from deepgps.reports.run_figures import draw_error_cdf
+from deepgps.viewer.stream import Rows, put, send_rows
 from sim.errors import DamagedError
 from sim.files.checksums import read_arrays, write_arrays
 from sim.recording.format import open_recording, open_truth
@@ -17,6 +22,7 @@ from sim.settings import CameraSettings
 
 PICTURES = "pictures.npz"  # File of the large pictures in a run's folder
 LARGE_ENTITY = "large"  # Name of the large pictures below ``drive``
+DISTRIBUTION = "report/distribution"
 PICTURE_COUNT = 36
 ROUND_PX, POLAR_ZOOM = 256, 3
 JPEG_QUALITY = 85
@@ -82,6 +88,20 @@ def log_views(stream: rr.RecordingStream, path: str, images: np.ndarray, camera:
     warp = make_warp(camera, images.shape[1], images.shape[2], ROUND_PX)
     log_jpegs(stream, f"{path}/polar", (encode_jpeg(enlarge(image, POLAR_ZOOM)) for image in images), at)
     log_jpegs(stream, f"{path}/round", (encode_jpeg(warp_round(image, warp)) for image in images), at)
+
+
+def log_distribution(stream: rr.RecordingStream, *fields: Mapping[str, ErrorField]) -> None:
+    """Log the distribution of errors of each method, and dashed that in a run that it is compared with."""
+    with style.context(
+        ["dark_background", {"figure.facecolor": SCREEN[0], "axes.facecolor": SCREEN[0], "grid.color": "#777777"}]
+    ):
+        figure = draw_error_cdf(*fields)
+    log_figure(stream, DISTRIBUTION, figure)
+
+
+def log_figure(stream: rr.RecordingStream, path: str, figure: Figure) -> None:
+    """Log a figure as a picture."""
+    put(stream, path, rr.EncodedImage(contents=to_png(figure), media_type="image/png"))
 
 
 def log_jpegs(stream: rr.RecordingStream, path: str, blobs: Iterable[bytes], at: Rows) -> None:

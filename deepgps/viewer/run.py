@@ -8,6 +8,7 @@ only what was sensed, the dead-reckoned path and the maps, each in a frame of it
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ import rerun as rr
 
 from deepgps.data.segments import dead_reckon, travel
 from deepgps.diagnosis.store import FILE as DIAGNOSIS
+from deepgps.evaluation.deployment import open_deployment
 from deepgps.evaluation.error_field import ErrorField, read_all_headings
 from deepgps.evaluation.map_errors import find_true_camera
 from deepgps.evaluation.without_truth import read_judged
@@ -22,7 +24,8 @@ from deepgps.reports.plots import TICKS_M
 from deepgps.reports.run_figures import read_histories
 from deepgps.reports.run_report import OVERVIEW, describe, judge_run, markdown_report, markdown_table, read_metrics
 from deepgps.reports.without_truth import markdown
-from deepgps.runs.run_folder import METRICS, TRUTHLESS_METRICS
+from deepgps.runs.run_folder import METRICS, TRUTHLESS_METRICS, VIEWED
+from deepgps.viewer.deployment import find_ways, log_deployment
 from deepgps.viewer.drive import (
     LEG_COLOUR,
     ODOMETRY_COLOUR,
@@ -37,22 +40,23 @@ from deepgps.viewer.drive import (
 from deepgps.viewer.error_field import SIGMA_TICKS_M, list_layers, log_coverage, log_field, log_layers
 from deepgps.viewer.layout import FIGURES, make_blueprint, make_blueprint_without_truth
 from deepgps.viewer.making import find_map, log_loss, log_making, log_points, log_snapshots, training_rows
-from deepgps.viewer.pictures import LARGE_ENTITY, PICTURES, read_pictures
+from deepgps.viewer.pictures import LARGE_ENTITY, PICTURES, log_distribution, read_pictures
 from deepgps.viewer.places import find_places, log_places
-from deepgps.viewer.plot import log_distribution
 from deepgps.viewer.read import open_rrd
-from deepgps.viewer.refused import find_refused, log_refused
 from deepgps.viewer.scene import log_room, log_scale
 from deepgps.viewer.stream import drive_clock, hash_files, put_text, save_recording, send_series
 from sim.files.checksums import is_intact
 from sim.geometry import FreeSpace, limits
 from sim.recording.format import Recording, has_truth, is_whole, open_recording, open_truth
 
-RECORDING = "run.rrd"
-READING_HINT = "Point at an arrow or a dot: error (± radius of 68 %), heading → predicted x, y [m]."
+RECORDING = VIEWED
+READING_HINT = (
+    "Point at an arrow or a dot: error (± radius of 68 %), heading → predicted x, y [m], and its place on the timeline "
+    "`place`, where its image is, if it is shown in *Places*."
+)
 SLIDER_HINT = (
-    "The slider goes through the worst places, the drive and the training at the same time, in 100 s; choose the "
-    "timeline `place` to step through the worst places, `drive_time` or `step` for seconds or training steps."
+    "The slider goes through places, drives and training at the same time, in 100 s; choose the timeline `place` to "
+    "step through the places, `drive_time`, `deployment` or `step` for seconds or training steps."
 )
 LAYERS = (
     "The panel on the left (button at the top right) switches on and off: each heading, errors above and below 10 cm, "
@@ -82,16 +86,25 @@ def write_run(run: Path) -> Path:
     mapped, stored = find_map(run, fields)
     titles = ({LARGE_ENTITY: "Fisheye, drawn larger for people"} if pictures else {}) | find_pictures(recording)
     layers = {name: list_layers(name, field) for name, field in fields.items()}
-    sure, refused = [name for name in fields if fields[name].radius is not None], find_refused(run, fields, recording)
-    trust = (sure[0], refused is not None, refused is not None and refused.weight is not None) if sure else None
-    blueprint = make_blueprint(space, layers, list(histories), titles, _find_length_s(recording), mapped, trust)
+    sure = next((name for name, field in fields.items() if field.radius is not None), None)
+    places = find_places(run, fields, recording)
+    drive, deployed = open_deployment(recording), None
+    if drive is not None:
+        method, ways = find_ways(run, drive)
+        deployed = method, {name: way.title for name, way in ways.items()}
+    length_s = _find_length_s(recording)
+    blueprint = make_blueprint(space, layers, list(histories), titles, length_s, mapped, sure, deployed)
+    marks = {name: {} for name in fields}
+    for number, place in enumerate(places):
+        if place.field is fields[place.method]:
+            marks[place.method].setdefault(place.cell, f", place {len(places) - number}")
 
     def log(stream: rr.RecordingStream) -> None:
         log_room(stream, recording.folder / "scene.glb", space)
-        log_results(stream, metrics, fields, space, driven, [READING_HINT, SLIDER_HINT, LAYERS])
-        log_places(stream, fields, find_places(fields), recording, truth)
-        if refused is not None:
-            log_refused(stream, refused, recording)
+        log_results(stream, metrics, fields, space, driven, [READING_HINT, SLIDER_HINT, LAYERS], marks)
+        log_places(stream, places, recording, truth)
+        if drive is not None:
+            log_deployment(stream, method, ways, drive)
         log_drive(stream, recording, truth, pictures)
         log_encoders(stream, recording, truth)
         log_diagnosis(stream, run)
@@ -101,7 +114,7 @@ def write_run(run: Path) -> Path:
             losses, snapshots = training_rows(history)
             log_loss(stream, name, history, losses)
             log_snapshots(stream, name, driven[history["snapshot_index"]], history["snapshot"], snapshots)
-        log_distribution(stream, {name: [field.worst] for name, field in fields.items()})
+        log_distribution(stream, fields)
 
     save_recording(path, hash_run(run), f"{metrics['scenario']}, seed {metrics['seed']}", blueprint, log)
     return path
@@ -130,13 +143,14 @@ def log_results(
     space: FreeSpace,
     driven: np.ndarray,
     notes: Sequence[str],
+    marks: Mapping[str, Mapping[int, str]] = MappingProxyType({}),
 ) -> None:
     """Log a run's error fields with their layers and scale, its figures, how to read them, and the coverage of its
-    floor by training images at true positions (N, 2) [m]."""
+    floor by training images at true positions (N, 2) [m]; marks of places are by method, as ``log_field`` has them."""
     for path, ticks in (("world/scale", TICKS_M), ("world/radius_scale", SIGMA_TICKS_M)):
         log_scale(stream, path, *limits(space), ticks)
     for name, field in fields.items():
-        log_field(stream, name, field)
+        log_field(stream, name, field, marks=marks.get(name, {}))
         log_layers(stream, name, field)
     log_coverage(stream, driven, space)
     lines = [
@@ -158,8 +172,9 @@ def log_results(
 
 def hash_run(run: Path) -> str:
     """Thirty-two hexadecimal digits of a run's metrics, error fields, recording, pictures and diagnosis."""
-    extra = [name for name in (PICTURES, DIAGNOSIS) if (run / name).is_file()]
-    return hash_files(run, [run / name for name in [METRICS, "error_field.npz", "recording/manifest.json", *extra]])
+    extra = [path for name in (PICTURES, DIAGNOSIS, "use_field.npz") if (path := run / name).is_file()]
+    extra += sorted(run.glob("tracking/*.npz"))
+    return hash_files(run, [*(run / name for name in (METRICS, "error_field.npz", "recording/manifest.json")), *extra])
 
 
 def _write_without_truth(run: Path, path: Path) -> Path:

@@ -22,6 +22,7 @@ from sim.geometry import FreeSpace, limits
 LAYER_M = 0.01  # height of one drawn layer above the next
 SCALE_COLOURS = 65  # colours along a scale
 ELLIPSE_POINTS = 37
+WALL_SHARE = 0.2  # Share of their height with which walls between rooms are drawn
 STILL_BEHAVIOUR = rrb.EntityBehavior(interactive=False)
 BACKDROP = ("room", "floor_plan", "outline", "scale")
 """Entities that cannot tell anything and so do not catch the pointer."""
@@ -109,12 +110,13 @@ def draw_circles(centre: np.ndarray, radius: np.ndarray, z: float) -> np.ndarray
 
 
 def open_room(scene: Path, space: FreeSpace) -> bytes:
-    """The room's mesh as GLB, open to view: without its south wall and the objects in its upper quarter."""
+    """The room's mesh as GLB, open to view: without its south wall and what is in its upper quarter, with low walls."""
     try:
         loaded = trimesh.load_scene(scene)
     except Exception as error:  # trimesh passes on whatever its readers raise
         raise InputError(f"{scene} cannot be read: {error}") from None
-    roof, south = 0.75 * loaded.bounds[1, 2], limits(space, margin_m=0.0)[0][1]
+    roof, (begin, end) = 0.75 * loaded.bounds[1, 2], limits(space, margin_m=0.0)
+    south = begin[1]
     hidden = []
     for node in loaded.graph.nodes_geometry:
         transform, name = loaded.graph[node]
@@ -124,6 +126,9 @@ def open_room(scene: Path, space: FreeSpace) -> bytes:
         on_south_wall = high[1] < south + 0.25 and low[2] > 0.05
         if low[2] > roof or in_south_wall or on_south_wall:
             hidden.append(name)
+        middle = (low + high)[:2] / 2
+        if high[2] > 1.2 * roof and low[2] < 0.1 and (begin < middle).all() and (middle < end).all():
+            loaded.graph.update(node, matrix=np.diag([1.0, 1.0, WALL_SHARE, 1.0]) @ transform)
     loaded.delete_geometry(hidden)
     glb = loaded.export(file_type="glb")
     assert isinstance(glb, bytes)

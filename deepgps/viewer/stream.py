@@ -1,9 +1,8 @@
 """Logging along timelines, and saving: atomically, without wall-clock time, and equal contents for equal runs.
 
 The timelines of a run are ``drive_time`` [s], ``step`` of training, ``making`` (stages of the initial map), ``place``,
-which ends with the worst place, ``refused``, which ends with the image most unlike all others, and ``progress``, which
-runs from 0 to ``PROGRESS_END_S`` through all of these at the same time, so that its slider changes every tab. A run in
-progress has ``run_time`` [s] alone.
+which ends with the worst place, ``deployment`` [s], and ``progress``, which runs from 0 to ``PROGRESS_END_S`` through
+all of these at the same time, so that its slider changes every tab. A run in progress has ``run_time`` [s] alone.
 """
 
 import hashlib
@@ -24,7 +23,7 @@ from sim.files.atomic import write_bytes
 from sim.files.checksums import check_sum, drop_sum, sha256, write_sum
 from sim.recording.format import Recording
 
-DRIVE_TIME, STEP, MAP_STAGE, PLACE, REFUSED_IMAGE = "drive_time", "step", "making", "place", "refused"
+DRIVE_TIME, STEP, MAP_STAGE, PLACE, DEPLOYMENT = "drive_time", "step", "making", "place", "deployment"
 PROGRESS = "progress"
 RUN_TIME = "run_time"
 PROGRESS_END_S = 100.0  # Seconds in which the viewer plays everything; a second is one per cent
@@ -104,13 +103,13 @@ def send_series(
     stream.send_columns(path, at, rr.Scalars.columns(scalars=np.asarray(values, float)))
 
 
-def drive_clock(recording: Recording) -> Clock:
+def drive_clock(recording: Recording, timeline: str = DRIVE_TIME) -> Clock:
     """The clock of a finished drive."""
     start, end = recording.time[0], recording.time[-1]
 
     def make_rows(time: np.ndarray) -> Rows:
         share = (time - start) / max(end - start, 1e-9)
-        return _with_progress(rr.TimeColumn(DRIVE_TIME, duration=time), PROGRESS_END_S * share)
+        return _with_progress(rr.TimeColumn(timeline, duration=time), PROGRESS_END_S * share)
 
     return make_rows
 
@@ -130,10 +129,10 @@ def making_rows(stage: int, last: int) -> Rows:
     return _with_progress(rr.TimeColumn(MAP_STAGE, sequence=[stage]), [PROGRESS_END_S * (stage / max(last, 1))])
 
 
-def place_rows(count: int, timeline: str = PLACE) -> Rows:
+def place_rows(count: int) -> Rows:
     """Rows for some places, the worst first; it is at the end of both timelines, where the viewer opens them."""
     place = np.arange(count, 0, -1)  # not from -1 down: at negative times, the viewer shows no pictures
-    return _with_progress(rr.TimeColumn(timeline, sequence=place), PROGRESS_END_S * (place - 1) / max(count - 1, 1))
+    return _with_progress(rr.TimeColumn(PLACE, sequence=place), PROGRESS_END_S * (place - 1) / max(count - 1, 1))
 
 
 def until_now(timelines: Sequence[str] = (DRIVE_TIME, PROGRESS)) -> list[rrb.VisibleTimeRange]:

@@ -6,7 +6,7 @@ fills the same rectangle), ``curve`` (errors along each timeline) and ``report``
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -26,8 +26,7 @@ from deepgps.studies.catalog import REPORTS
 from deepgps.studies.study import Study
 from deepgps.studies.table import Row, find_methods, read_rows, read_setting, split_by, varied_in
 from deepgps.viewer.error_field import NO_PLACES, log_field
-from deepgps.viewer.layout import arrange, look, text_view
-from deepgps.viewer.plot import Axis, Curve, log_cursor, log_plot, make_axis, plot_view
+from deepgps.viewer.layout import LOGARITHM, arrange, look, series_view, text_view
 from deepgps.viewer.read import open_rrd
 from deepgps.viewer.scene import STILL_BEHAVIOUR, lift, log_floor, log_scale
 from deepgps.viewer.sliders import RUN, Slider, Step, find_sliders
@@ -43,8 +42,8 @@ Spaces = Mapping[str, FreeSpace]  # by the name of the recording
 CURVES = {"rms": "RMS", "median": "Median"}
 FIGURES = {"rms_m": "RMS", "median_m": "median", "p95_m": "p95", "max_m": "max"}
 FRAME_M = 4.5  # depth of the rectangle that rooms are drawn in, chosen to suit the size of the text
-MAX_TICKS, MAX_LETTERS, MAX_VALUES = 8, 12, 8
-MIN_LOG_RATIO = 3.0  # natural logarithm of the ratio from which on errors are drawn on a logarithmic axis
+MAX_VALUES = 8
+MIN_ERROR_CM, PALE_OPACITY = 1e-4, 110  # Least error that is drawn; opacity of the best and the worst seed
 MAX_ARROWS = 2_500_000  # about 75 MB; in larger studies, every field is thinned out
 MAX_PLACES = 2_000  # of one slider, about 10 kB each in addition to their arrows
 STEPS_PER_SECOND = 1.5
@@ -185,8 +184,8 @@ def _here() -> rrb.TextDocumentView:
     return text_view("Here", "report/here")
 
 
-def _plots() -> list[rrb.Spatial2DView]:
-    return [plot_view(f"{title} along the slider [cm]", f"curve/{name}") for name, title in CURVES.items()]
+def _plots() -> list[rrb.TimeSeriesView]:
+    return [series_view(f"{title} along the slider: {LOGARITHM}", f"curve/{name}") for name, title in CURVES.items()]
 
 
 def _field_views(methods: Sequence[str], frame: Frame) -> list[rrb.Spatial3DView]:
@@ -254,63 +253,23 @@ def log_heading(stream: rr.RecordingStream, method: str, slider: Slider, step: S
 
 
 def log_curves(stream: rr.RecordingStream, slider: Slider) -> None:
-    """Plot errors against a slider's values: the mean over seeds, and the best and the worst seed if there are several.
+    """Log each method's errors along a slider: the mean over seeds, and if there are several the best and the worst.
 
-    A cursor in the plots is where the slider is.
+    The viewer's plots have no logarithmic axis: values are decimal logarithms of centimetres.
     """
-    where = slider.numbers or [float(place) for place in slider.places]
-    rows = [(place, row) for place, step in zip(where, slider.steps, strict=True) for row in step.repeats]
-    if not rows:
-        return
-    x, first = _make_abscissa(slider, where), min(slider.places)
-    for name, title in CURVES.items():
-        methods = find_methods(row for _, row in rows)
-        curves = [curve for method in methods for curve in _make_curves(method, name, rows)]
-        errors = np.concatenate([curve.y for curve in curves])
-        y = make_axis(
-            f"{title} [cm]", errors, log=bool(errors.min() > 0 and np.ptp(np.log(errors)) > MIN_LOG_RATIO), zero=True
-        )
-        log_plot(stream, f"curve/{name}", x, y, curves, slider_row(slider, first))
-        for place, value in zip(slider.places, where, strict=True):
-            log_cursor(stream, f"curve/{name}", x, value, slider_row(slider, place))
-
-
-def _make_abscissa(slider: Slider, where: Sequence[float]) -> Axis:
-    """The axis of a slider's values: in proportion where they are numbers, else one step after another."""
-    if slider.numbers:
-        axis = make_axis(slider.name, where, log=min(where) > 0 and max(where) > 30 * min(where))
-        axis = replace(axis, low=min(axis.low, *where), high=max(where))
-        return replace(axis, ticks=_choose_ticks(axis, slider))
-    every = -(-len(where) // MAX_TICKS)
-    ticks = {place: _cut(step.value) for place, step in list(zip(where, slider.steps, strict=True))[::every]}
-    return Axis(slider.name, min(where) - 0.5, max(where) + 0.5, ticks)
-
-
-def _choose_ticks(axis: Axis, slider: Slider) -> dict[float, str]:
-    """The slider's own values, without those too close to the one before."""
-    ticks: dict[float, str] = {}
-    for value, step in sorted(zip(slider.numbers, slider.steps, strict=True), key=lambda pair: pair[0]):
-        if not ticks or axis.share([value])[0] - axis.share([list(ticks)[-1]])[0] > 1 / MAX_TICKS:
-            ticks[value] = step.value
-    return ticks
-
-
-def _make_curves(method: str, name: str, rows: Sequence[tuple[float, Row]]) -> list[Curve]:
-    """A method's curves over places: the mean of its rows there, and pale without a title the least and the most."""
-    groups = {
-        place: [100 * row[f"{name}_m"] for at, row in rows if at == place and row["method"] == method]
-        for place in dict.fromkeys(at for at, row in rows if row["method"] == method)
-    }
-    colour, places = colour_on_dark(method), list(groups)
-    curves = [Curve(method, title_of(method), colour, places, [float(np.mean(one)) for one in groups.values()], True)]
-    if max(map(len, groups.values())) > 1:
-        for end, take in (("best", min), ("worst", max)):
-            curves.append(Curve(f"{method}_{end}", "", (*colour, 110), places, [take(one) for one in groups.values()]))
-    return curves
-
-
-def _cut(text: str) -> str:
-    return text if len(text) <= MAX_LETTERS else f"{text[: MAX_LETTERS - 1]}…"
+    places = list(zip(slider.places, slider.steps, strict=True))
+    for name, method in product(CURVES, find_methods(row for _, step in places for row in step.repeats)):
+        found = {
+            place: [max(100 * row[f"{name}_m"], MIN_ERROR_CM) for row in step.repeats if row["method"] == method]
+            for place, step in places
+        }
+        found = {place: errors for place, errors in found.items() if errors}
+        values = np.log10([[np.mean(errors), min(errors), max(errors)] for errors in found.values()])
+        path, colour = f"curve/{name}/{method}", colour_on_dark(method)
+        colours, names = [colour, *2 * [(*colour, PALE_OPACITY)]], [title_of(method), "best seed", "worst seed"]
+        stream.log(path, rr.SeriesLines(colors=colours, names=names, widths=[2.5, 1.0, 1.0]), static=True)
+        at, rows = rr.TimeColumn(slider.timeline, sequence=list(found)), rr.Scalars.columns(scalars=values.ravel())
+        stream.send_columns(path, [at], rows.partition([3] * len(found)))
 
 
 def _round_length(most: float) -> float:

@@ -9,7 +9,7 @@ import trimesh
 
 from deepgps.evaluation.segment_errors import measure_distances
 from deepgps.viewer.pictures import make_warp, warp_round
-from deepgps.viewer.scene import draw_ellipses, draw_floor_plan, find_outline, open_room
+from deepgps.viewer.scene import WALL_SHARE, draw_ellipses, draw_floor_plan, find_outline, open_room
 from sim.errors import InputError
 from sim.recording.format import open_recording, open_truth
 from sim.sensors.camera.lens import make_lens, project_polar, project_round
@@ -30,6 +30,19 @@ def test_the_open_room_lacks_ceiling_and_south_wall_only(run: Path) -> None:
     before = set(trimesh.load_scene(run / "recording" / "scene.glb").geometry)
     after = set(trimesh.load_scene(BytesIO(glb), file_type="glb").geometry)
     assert before - after == {"ceiling", "wall_south"}
+
+
+def test_a_wall_between_rooms_is_drawn_low(run: Path, tmp_path: Path) -> None:
+    scene, height_m = trimesh.load_scene(run / "recording" / "scene.glb"), 2.6
+    box = trimesh.creation.box((0.1, 2.0, height_m))
+    box.apply_translation((0.3, 0.5, height_m / 2))
+    scene.add_geometry(box, geom_name="between", node_name="between")
+    scene.export(tmp_path / "scene.glb")
+    opened = trimesh.load_scene(BytesIO(open_room(tmp_path / "scene.glb", make_free_space())), file_type="glb")
+    transform, name = opened.graph["between"]
+    bounds = trimesh.transform_points(opened.geometry[name].bounds, transform)
+    np.testing.assert_allclose(bounds[:, 2], [0.0, WALL_SHARE * height_m], atol=1e-6)
+    np.testing.assert_allclose(bounds[:, :2].mean(axis=0), [0.3, 0.5], atol=1e-6)
 
 
 def test_a_broken_scene_is_one_clear_line(tmp_path: Path) -> None:

@@ -4,7 +4,6 @@ import os
 import shutil
 import signal
 from collections.abc import Iterator, Sequence
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +20,7 @@ from deepgps.viewer import study as viewer
 from deepgps.viewer.error_field import PARTS, REFUSED_PART
 from deepgps.viewer.read import read_entity, read_error_field, read_error_table
 from deepgps.viewer.show import view
-from deepgps.viewer.sliders import find_sliders
+from deepgps.viewer.sliders import Slider, Step, find_sliders
 from deepgps.viewer.study import STUDY as STUDY_RRD
 from deepgps.viewer.study import find_study, write_length
 from deepgps.viewer.study import write_study as write_rrd
@@ -155,25 +154,32 @@ def test_the_text_says_where_a_slider_stands_and_what_the_others_are(study):
     assert read_text(path, "report/table") == (study[0] / "table.md").read_text()
 
 
-def test_curves_run_along_the_slider_with_the_best_and_the_worst_seed_and_a_cursor(study):
+def test_curves_run_along_the_slider_with_the_best_and_the_worst_seed(study):
     folder, plans = study
-    rows = gather(plans, {}, folder)
-    takes = {"": np.mean, "_best": np.min, "_worst": np.max}
-    for (end, take), name in product(takes.items(), ("rms", "median")):
-        curve = cells(folder / STUDY_RRD, f"/curve/{name}/curves/deepgps{end}", "LineStrips2D:strips")
-        ((points,),) = (value for line, _, value in curve if line == LINE)
-        across, up = np.array(points).T
-        np.testing.assert_allclose(across / across[-1], np.array(NOISES) / NOISES[-1], atol=1e-6)  # in proportion
-        here = [row for row in rows if (row["method"], row["room.seed"]) == ("deepgps", ROOMS[0])]
-        groups = [[row[f"{name}_m"] for row in here if row[AXIS] == noise] for noise in NOISES]
-        assert [len(group) for group in groups] == [2, 2, 2]
-        expected = np.array([take(group) for group in groups])
-        likeness = [np.corrcoef(1 - up, of_axis)[0, 1] for of_axis in (expected, np.log(expected))]
-        assert max(likeness) == pytest.approx(1)
-    cursor = cells(folder / STUDY_RRD, "/curve/rms/cursor", "LineStrips2D:strips")
-    shown = {at: value for line, at, value in cursor if line == LINE}
-    across = np.array([np.reshape(shown[round(10 * noise)], (-1, 2))[0, 0] for noise in NOISES])
-    np.testing.assert_allclose(across / across[-1], np.array(NOISES) / NOISES[-1], atol=1e-6)
+    rows = [row for row in gather(plans, {}, folder) if (row["method"], row["room.seed"]) == ("deepgps", ROOMS[0])]
+    for name in ("rms", "median"):
+        curve = cells(folder / STUDY_RRD, f"/curve/{name}/deepgps", "Scalars:scalars")
+        shown = {at: values for line, at, values in curve if line == LINE}
+        assert list(shown) == [round(10 * noise) for noise in NOISES]
+        for noise, values in zip(NOISES, shown.values(), strict=True):
+            errors = [100 * row[f"{name}_m"] for row in rows if row[AXIS] == noise]
+            assert len(errors) == 2
+            np.testing.assert_allclose(10.0 ** np.array(values), [np.mean(errors), min(errors), max(errors)])
+
+
+@pytest.mark.parametrize(
+    ("values", "timeline", "places"),
+    [
+        ([0.0, 0.02, 0.1], "noise [1/100]", [0, 2, 10]),
+        ([16.0, 64.0, 4096.0], "noise", [16, 64, 4096]),
+        ([-0.5, 0.0, 0.5], "noise [1/10]", [-5, 0, 5]),
+        ([None, None], "noise", [1, 2]),
+        ([1 / 3, 2 / 3], "noise", [1, 2]),
+    ],
+)
+def test_a_slider_has_its_values_on_its_timeline(values: list[float | None], timeline: str, places: list[int]) -> None:
+    slider = Slider("noise", [Step("", "", [], [], number) for number in values], "")
+    assert (slider.timeline, slider.places) == (timeline, places)
 
 
 def test_the_file_is_whole_and_small_without_wall_clock_and_every_view_shows_what_was_logged(study):

@@ -1,0 +1,41 @@
+"""A tracked deployment drive: along each way, errors are those that were measured."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deepgps.evaluation.track_run import track_run
+from deepgps.reports.plots import colours_of
+from deepgps.terminal.progress import ignore
+from deepgps.viewer.deployment import COLOURS
+from deepgps.viewer.error_field import REFUSED_RGBA
+from deepgps.viewer.read import read_entity, read_error_field
+from deepgps.viewer.run import RECORDING, find_recording
+from deepgps.viewer.stream import DEPLOYMENT
+from tests.helpers.blueprints import count_rows, find_missing
+
+
+def test_the_errors_along_the_drive_are_those_of_the_track(finished_run: Path, tmp_path: Path) -> None:
+    run, method = Path(shutil.copytree(finished_run, tmp_path / "run")), "deepgps_compass"
+    assert find_recording(run).is_file()
+    figures = track_run(run, method, None, ignore).figures
+    assert not (run / RECORDING).exists()
+    path, root = find_recording(run), f"world/{DEPLOYMENT}"
+    for name in COLOURS:
+        field, measured = read_error_field(path, method, f"{root}/{name}"), figures["paths"][name]
+        error = field.error
+        assert len(error) == measured["images"]
+        assert np.sqrt(np.mean(error**2)) == pytest.approx(measured["rms_m"], rel=1e-4)
+        rows = read_entity(path, f"{DEPLOYMENT}/error/{name}").sort_by(DEPLOYMENT)["Scalars:scalars"].drop_null()
+        np.testing.assert_allclose(10.0 ** np.concatenate(rows.to_pylist()), np.maximum(100 * error, 1e-2), rtol=1e-6)
+        shown = read_entity(path, f"{root}/{name}/path")
+        strips, packed = (shown[f"LineStrips3D:{part}"].to_pylist()[0] for part in ("strips", "colors"))
+        np.testing.assert_allclose(np.array(strips)[:, 1, :2], field.truth[1:], atol=1e-6)
+        colours = np.array(packed, ">u4").view(np.uint8).reshape(-1, 4)
+        seen = (colours != REFUSED_RGBA).any(axis=1)
+        np.testing.assert_array_equal(colours[seen], colours_of(error[1:])[seen])
+    counts = count_rows(path)
+    assert counts[f"/{DEPLOYMENT}/polar"] == counts[f"/{DEPLOYMENT}/fisheye"] == figures["images"]
+    assert find_missing(path) == []
