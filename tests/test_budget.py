@@ -5,9 +5,9 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "lines of sim and deepgps": 40_865,
-    "files of sim and deepgps": 282,
-    "lines of tests": 28_414,
+    "lines of sim and deepgps": 40_987,
+    "files of sim and deepgps": 283,
+    "lines of tests": 28_441,
     "Python files directly in deepgps": 2,
     "words of decisions": 6_030,
     "words of all other pages by hand": 18_891,

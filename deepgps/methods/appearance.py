@@ -13,7 +13,6 @@ import torch
 
 from deepgps.data.features import Features
 from deepgps.data.segments import find_held_out, find_owners, spread_evenly
-from deepgps.initial_map.compass.factors import Factors
 from deepgps.learning.training_data import TrainingData
 from deepgps.positioner.appearance import AppearanceMap
 from deepgps.positioner.kriging import KERNELS, Kernel, choose_kernel, find_others, krige
@@ -88,26 +87,6 @@ def learn(
     images = data.observation[index[checked.sample]]
     known = replace(known, calibration=calibrate(known, images, heading[checked.sample], checked))
     return AppearanceMap(projection, known), index
-
-
-def find_factors(data: TrainingData, places: np.ndarray, heading: np.ndarray, every: slice, count: int) -> Factors:
-    """Registrations of ``every`` such observation, at most ``count``, on those of other segments; see ``learn``."""
-    appearance, index = learn(data, places, heading)
-    known = appearance.registration
-    assert known.pixels is not None
-    first, last = (owner.numpy()[index] for owner in find_owners(data.segments, len(places)))
-    sample, others = leave_out(known.places, first, last, np.arange(len(index))[every], count)
-    position, covariance = np.empty((len(sample), 2)), np.empty((len(sample), 2, 2))
-    for part in np.array_split(np.arange(len(sample)), -(-len(sample) // CHUNK)):
-        images, there = grey(data.observation[index[sample[part]]]), known.places[sample[part]]
-        match = known.match(known.known[sample[part]], there, index=others[part])
-        found = known.pixels.register(images, there, known.tree, known.kernel, others[part])
-        of_pixels = known.calibration.pixels * found.covariance[:, :2, :2]
-        of_features = known.calibration.features * match.covariance
-        position[part], covariance[part] = fuse(match.position, of_features, found.position, of_pixels)
-    weight = krige(position, known.places, others, known.kernel).both[:, 0]
-    offset = position - np.einsum("nk,nkd->nd", weight, known.places[others])
-    return Factors(index[sample], index[others], weight, offset, _find_trace(covariance) / 2.0)
 
 
 class LeftOut(NamedTuple):
@@ -225,7 +204,7 @@ def calibrate(known: Registration, images: np.ndarray, heading: np.ndarray, left
         yaw = float(np.quantile(off, 0.68))
         light = float(np.quantile(np.abs(np.log(np.maximum(found.gain, 1e-3))), LIKE_SHARE))
         position, covariance = fuse(position, covariance, found.position, pixels * found.covariance[:, :2, :2])
-    away, size = np.linalg.norm(position - place, axis=1), np.sqrt(_find_trace(covariance) * inflate(unlike / usual))
+    away, size = np.linalg.norm(position - place, axis=1), np.sqrt(find_trace(covariance) * inflate(unlike / usual))
     small, large = (RADIUS_MARGIN * float(np.quantile(away / size, level)) for level in LEVELS)
     limits, difference = (_find_limit(unlike), pixels_limit), float(np.quantile(away, USUAL_SHARE))
     return Calibration(
@@ -238,8 +217,9 @@ def _find_limit(unlike: np.ndarray) -> float:
 
 
 def _find_factor(error: np.ndarray, covariance: np.ndarray) -> float:
-    return float(np.median(np.square(error).sum(axis=1) / _find_trace(covariance)) / NORMAL_MEDIAN)
+    return float(np.median(np.square(error).sum(axis=1) / find_trace(covariance)) / NORMAL_MEDIAN)
 
 
-def _find_trace(covariance: np.ndarray) -> np.ndarray:
+def find_trace(covariance: np.ndarray) -> np.ndarray:
+    """Traces (n,) of covariances (n, 2, 2), which are positive."""
     return np.maximum(np.trace(covariance, axis1=1, axis2=2), 1e-12)

@@ -24,21 +24,17 @@ from deepgps.data.turns import (
 from deepgps.diagnosis.store import take_diagnosed
 from deepgps.initial_map.compass.closures import Closures
 from deepgps.initial_map.compass.compass_map import NEIGHBOURS, CompassMap, find_compass_map, refine
-from deepgps.initial_map.compass.factors import Factors
 from deepgps.initial_map.distances.isomap import find_loop_closures
 from deepgps.initial_map.stored_map import write_map
 from deepgps.learning.training_data import TrainingData, prepare
-from deepgps.methods.appearance import find_factors
 from deepgps.methods.deepgps import record_undecided
+from deepgps.methods.refinement import refine_map
 from deepgps.methods.regression import fit_positions
 from deepgps.positioner.positioner import Fitted, NetworkPositioner
 from deepgps.terminal.progress import Report
-from sim.errors import InputError
 from sim.recording.format import Recording
 from sim.rng import stream
 
-REFINEMENTS, FACTORS, HELD_OUT_FACTORS = 2, 4000, 8
-"""Times that the map is refined, images that are registered, at most, and of how many one checks the map."""
 MIN_MOUNT_M, MIN_MOUNT_DEVIATIONS = 0.005, 3.0
 """A camera that is nearer to the axle than this [m], or than so many standard deviations, is taken to be on it."""
 
@@ -53,7 +49,9 @@ def map_by_compass(
     data = prepare(recording, settings, seed, folder.parent, ignore_small(turns.upright))
     data = replace(data, segments=expect_errors(recording, data.segments))
     progress("compass: initial map", 0, 1)
-    found = refine_map(data, make_compass_map(data, turns, seed), seed)
+    rng = stream(seed, "compass map, registered")
+    found = make_compass_map(data, turns, seed)
+    found = refine_map(data, found, keep_chosen, lambda one, factors: refine(one, factors, rng))
     write_map(folder, found, data.segments, turns)
     progress("compass: initial map", 1, 1)
     return data, found, {**describe_lean(turns.upright.lean), "map": describe_map(found), **record}
@@ -92,30 +90,6 @@ def make_compass_map(data: TrainingData, turns: CompassTurns, seed: int) -> Comp
     closures = Closures(first, second, length, np.where(headings.clear, headings.turn, np.nan))
     rng, curvature = stream(seed, "compass map"), measure_curvature(data.observation, data.segments)
     return find_compass_map(data.segments, turns, closures, len(data.features), rng, curvature)
-
-
-def refine_map(data: TrainingData, found: CompassMap, seed: int) -> CompassMap:
-    """The map with registrations of its images on one another, as long as it predicts held-out ones better."""
-    rng, checks, error = stream(seed, "compass map, registered"), None, np.inf
-    for number in range(REFINEMENTS):
-        try:
-            factors = find_factors(data, keep_chosen(found), found.heading, slice(number, None, REFINEMENTS), FACTORS)
-        except InputError:
-            return found
-        if checks is None:
-            held_out = np.arange(len(factors.one)) % HELD_OUT_FACTORS == 0
-            factors, checks = factors.take(~held_out), factors.take(held_out)
-            error = measure_error(checks, found)
-        better = refine(found, factors, rng)
-        if not (less := measure_error(checks, better)) < error:
-            break
-        found, error = better, less
-    return found
-
-
-def measure_error(factors: Factors, found: CompassMap) -> float:
-    """Median distance of observations from where the factors predict them on a map [m]; NaN where there are none."""
-    return float(np.nanmedian(np.linalg.norm(factors.compare(found.places), axis=1)))
 
 
 def find_mount(found: CompassMap) -> tuple[float, float]:

@@ -2,19 +2,27 @@
 
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from deepgps.config.learning import LearnSettings
 from deepgps.data.segments import find_runs
+from deepgps.initial_map.compass.factors import Factors
+from deepgps.initial_map.distances.dense import refine
+from deepgps.initial_map.distances.folding import find_ambiguous
 from deepgps.learning.training_data import TrainingData, prepare
 from deepgps.methods.appearance import learn
 from deepgps.methods.compass import find_mount, keep_chosen, map_by_compass
-from deepgps.methods.deepgps import choose_start, make_initial_map
+from deepgps.methods.deepgps import choose_start, make_initial_map, record_undecided
+from deepgps.methods.refinement import refine_map
 from deepgps.positioner.positioner import Fitted, RegistrationPositioner
 from deepgps.terminal.progress import Report
 from sim.errors import InputError
 from sim.recording.format import Recording
+from sim.rng import stream
+
+MIN_PART_SHARE = 0.001  # Least share of the readings in a part that is left out, since it could be mirrored
 
 
 def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
@@ -32,7 +40,35 @@ def fit_distances(recording: Recording, settings: LearnSettings, seed: int, fold
         raise InputError("registration_distances: a map needs segments with more than two readings each")
     progress(f"{folder.name}: initial map", 0, 1)
     places = make_initial_map(data.features, data.segments, kind, seed, 0)[0].numpy()
-    return finish(data, places, find_headings(recording, places), start, progress, folder)
+    undecided = np.zeros(len(places), bool)
+    if kind == "paths":
+        undecided = find_ambiguous(places, data.features, data.segments, MIN_PART_SHARE)
+        if not undecided.all():
+            places[undecided] = np.nan
+        places = refine_distances(recording, data, places, stream(seed, "map by distances, registered"))
+    progress(f"{folder.name}: initial map", 1, 1)
+    fitted = finish(data, places, find_headings(recording, places), start, progress, folder)
+    return fitted.note({"map": record_undecided(undecided)})
+
+
+class DistanceMap(NamedTuple):
+    """Positions (N, 2) [m] and headings (N,) [rad] of observations; NaN: unknown."""
+
+    places: np.ndarray
+    heading: np.ndarray
+
+
+def refine_distances(
+    recording: Recording, data: TrainingData, places: np.ndarray, rng: np.random.Generator
+) -> np.ndarray:
+    """Positions (N, 2) [m] on a map by distances with its images registered on one another."""
+
+    def move(found: DistanceMap, factors: Factors) -> DistanceMap:
+        moved = refine(found.places, data.features, data.segments, factors, rng)
+        return DistanceMap(moved, find_headings(recording, moved))
+
+    start = DistanceMap(places, find_headings(recording, places))
+    return refine_map(data, start, lambda found: found.places, move).places
 
 
 def finish(

@@ -159,7 +159,7 @@ def refine(found: CompassMap, factors: Factors, rng: np.random.Generator) -> Com
     """The map moved so that its images are also where they are registered on one another."""
     layout, fit = deepcopy(found.layout), deepcopy(found.fit)
     bars, scale = layout.bars, 1.0
-    read = factors.find_readings(bars, len(found.places))
+    read = factors.number(bars.find_readings(len(found.places)))
     for _ in range(FACTOR_ROUNDS):
         equations = layout.relate(fit)
         add_factors(equations, bars, read, scale)

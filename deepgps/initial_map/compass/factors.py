@@ -29,9 +29,8 @@ class Factors:
         """Those with these numbers, or of a mask."""
         return type(self)(*(getattr(self, field.name)[rows] for field in fields(self)))
 
-    def find_readings(self, bars: Bars, observations: int) -> Self:
-        """The factors between the bars' readings; those without a reading are left out."""
-        reading = bars.find_readings(observations)
+    def number(self, reading: np.ndarray) -> Self:
+        """The factors between readings, of which each observation has one (N,); those without, -1, are left out."""
         one, others = reading[self.one], reading[self.others]
         return replace(self, one=one, others=others).take((one >= 0) & (others >= 0).all(axis=1))
 

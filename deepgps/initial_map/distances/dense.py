@@ -24,7 +24,8 @@ from scipy.sparse import csc_array, csr_array, diags_array
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import ArpackError, LinearOperator, eigsh
 
-from deepgps.data.segments import Segments
+from deepgps.data.segments import Segments, subsample
+from deepgps.initial_map.compass.factors import Factors
 from deepgps.initial_map.compass.least_squares import factorise
 from deepgps.initial_map.distances.folding import measure_overlap
 from deepgps.initial_map.distances.isomap import NEIGHBOURS, LoopClosures, find_loop_closures, map_by_paths
@@ -199,3 +200,15 @@ def find_initial_map(
     best = min((relax(places, segments, graphs[0]) for places in rough), key=judge)[0]
     relaxed = relax_unevenly(best, segments, graphs[0], np.random.default_rng(generator.initial_seed()))
     return relaxed.places, relaxed.segments
+
+
+def refine(
+    places: np.ndarray, features: torch.Tensor, segments: Segments, factors: Factors, rng: np.random.Generator
+) -> np.ndarray:
+    """Positions (N, 2) [m] moved so that images are also where they are registered on one another; NaN stay NaN."""
+    sample, chosen = subsample(segments, len(features))
+    number, moved = np.full(len(features), -1), places.copy()
+    number[chosen] = np.arange(len(chosen))
+    closures = find_loop_closures(features[chosen], sample, NEIGHBOURS[:1])[0]
+    moved[chosen] = relax_unevenly(places[chosen], sample, closures, rng, factors.number(number)).places
+    return moved

@@ -109,22 +109,24 @@ in steps between readings."""
 MIN_PART_SHARE = 0.02  # Least share of the readings in a part; fewer are those of a bar that hangs loose
 
 
-def find_ambiguous(places: np.ndarray, features: torch.Tensor, segments: Segments) -> np.ndarray:
+def find_ambiguous(
+    places: np.ndarray, features: torch.Tensor, segments: Segments, least: float = MIN_PART_SHARE
+) -> np.ndarray:
     """Mask (N,) bool of the observations that could be mirrored about a bar together with all that holds them.
 
-    Their places on the map are (N, 2) [m], their features (N, K). Of a long recording, a sample is examined, and all
-    others are taken to be like the one before them.
+    Their places on the map are (N, 2) [m], their features (N, K), and a part has at least the share ``least`` of the
+    readings. Of a long recording, a sample is examined, and all others are taken to be like the one before them.
     """
     sample, chosen = subsample(segments, len(features))
     places, numbers = places[chosen.numpy()], chosen.numpy()
     closures = find_loop_closures(features[chosen], sample, NEIGHBOURS[:1])[0]
     graph = build_pose_graph(sample, closures, np.asarray(np.isfinite(places).all(axis=1)))
     found = np.zeros(len(places), bool)
-    found[graph.observation] = find_ambiguous_readings(graph, places[graph.observation])
+    found[graph.observation] = find_ambiguous_readings(graph, places[graph.observation], least)
     return found[(np.searchsorted(numbers, np.arange(len(features)), side="right") - 1).clip(0)]
 
 
-def find_ambiguous_readings(graph: PoseGraph, point: np.ndarray) -> np.ndarray:
+def find_ambiguous_readings(graph: PoseGraph, point: np.ndarray, least: float = MIN_PART_SHARE) -> np.ndarray:
     """Find the readings (r,) bool, at points (r, 2) [m], that could be mirrored about a bar.
 
     For each bar, the bars that cross elsewhere than along its line hold one another. All such parts but the largest can
@@ -141,7 +143,7 @@ def find_ambiguous_readings(graph: PoseGraph, point: np.ndarray) -> np.ndarray:
         part = connected_components(joined, directed=False)[1][graph.bar]
         moved = np.abs((point - middle[bar]) @ normal) > MIN_MIRROR_SHIFT * graph.step
         size = np.bincount(part, moved)
-        ambiguous |= moved & (part != size.argmax()) & (size > MIN_PART_SHARE * len(point))[part]
+        ambiguous |= moved & (part != size.argmax()) & (size > least * len(point))[part]
     return ambiguous
 
 

@@ -17,10 +17,11 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from scipy.sparse import csc_array, diags_array, eye_array
+from scipy.sparse import csc_array, csr_array, diags_array, eye_array, vstack
 from scipy.sparse.linalg import SuperLU
 
 from deepgps.data.segments import Segments, measure_spacing
+from deepgps.initial_map.compass.factors import Factors
 from deepgps.initial_map.compass.least_squares import factorise
 from deepgps.initial_map.distances.isomap import LoopClosures
 
@@ -29,20 +30,27 @@ FIRST_ROBUST_SCALE, LAST_ROBUST_SCALE = 32.0, 1.0
 """Scale of the robust weights in the first and the last round, in steps between readings."""
 LOOK_STD, MEETING_STD = 0.25, 0.06
 """Standard deviations of a loop closure at distance zero and of two bars that meet, in steps between readings."""
+FACTOR_SCALE = 3.0  # Scale of the robust weights of registrations in the last round, in standard deviations
 MAX_TURN = 0.5
 DAMPING = 1e-9
 
 
 class PoseGraph(NamedTuple):
-    """Readings on bars, and the pairs of them that should coincide."""
+    """Readings on bars, the pairs of them that should coincide, and differences of places that should vanish.
+
+    These are the differences of all pairs, and the residuals of registrations, if any, after them.
+    """
 
     observation: np.ndarray  # Observation of each reading (r,)
     along: np.ndarray  # Distance of each from the mean of its segment's readings (r,) [m]
     bar: np.ndarray  # Bar of each, counted from 0 (r,)
     a: np.ndarray  # First reading of each pair (p,)
     b: np.ndarray  # Second reading of each pair (p,)
-    firm: np.ndarray  # Whether the two are one observation, at which two bars meet, and not a loop closure (p,) bool
-    weight: np.ndarray  # Inverse expected squared distance of each pair (p,) [1 / m^2]
+    mix: csr_array  # Weights of the readings' points in each difference (d, r)
+    offset: np.ndarray  # What each difference should be (d, 2) [m]
+    firm: np.ndarray  # Whether it is of one observation, at which two bars meet (d,) bool
+    weight: np.ndarray  # Its inverse expected square (d,) [1 / m^2]
+    reach: np.ndarray  # Scale of its robust weights, over that of loop closures (d,)
     step: float  # Median distance between consecutive readings [m]
 
 
@@ -61,7 +69,7 @@ def relax(places: np.ndarray, segments: Segments, closures: LoopClosures) -> tup
     middle, heading = lay_bars(places[graph.observation], graph)
     for scale in graph.step * np.geomspace(FIRST_ROBUST_SCALE, LAST_ROBUST_SCALE, ROUNDS):
         ahead = point_along(heading, graph, graph.along)
-        apart = (middle[graph.bar] + ahead)[graph.a] - (middle[graph.bar] + ahead)[graph.b]
+        apart = graph.mix @ (middle[graph.bar] + ahead) - graph.offset
         jacobian, trust = derive_apart(graph, move_rigidly(ahead)), np.tile(weigh(graph, apart, scale), 2)
         pull = jacobian.T @ (trust * apart.T.ravel())
         move = -factorise(make_normal(jacobian, trust)).solve(pull).reshape(-1, 3)
@@ -75,8 +83,10 @@ def relax(places: np.ndarray, segments: Segments, closures: LoopClosures) -> tup
     return found, float((graph.weight * robust).sum())
 
 
-def build_pose_graph(segments: Segments, closures: LoopClosures, placed: np.ndarray) -> PoseGraph:
-    """Bars and pairs of readings among the observations ``placed`` (N,) bool. Arguments as in ``relax``."""
+def build_pose_graph(
+    segments: Segments, closures: LoopClosures, placed: np.ndarray, factors: Factors | None = None
+) -> PoseGraph:
+    """Bars, pairs of readings and registrations of the observations ``placed`` (N,) bool. Arguments as in ``relax``."""
     index = segments.index.numpy()
     row, column = np.nonzero(segments.valid.numpy() & placed[index])
     observation, along = index[row, column], _from_middle(segments)[row, column]
@@ -93,7 +103,25 @@ def build_pose_graph(segments: Segments, closures: LoopClosures, placed: np.ndar
     weight = 1.0 / np.where(
         firm, (MEETING_STD * step) ** 2, (LOOK_STD * step) ** 2 + np.pad(length[known], (0, len(meet))) ** 2
     )
-    return PoseGraph(observation, along, bar, a, b, firm, weight, step)
+    pairs, size = np.arange(len(a)), (len(a), len(bar))
+    mix = csr_array((np.ones(len(a)), (pairs, a)), size) - csr_array((np.ones(len(a)), (pairs, b)), size)
+    graph = PoseGraph(observation, along, bar, a, b, mix, np.zeros((len(a), 2)), firm, weight, np.ones(len(a)), step)
+    return graph if factors is None else add_factors(graph, factors.number(reading))
+
+
+def add_factors(graph: PoseGraph, factors: Factors) -> PoseGraph:
+    """The graph with registrations, which are numbered by reading, after the pairs."""
+    count, many = factors.others.shape
+    rows, size = np.arange(count), (count, len(graph.bar))
+    others = csr_array((factors.weight.ravel(), (rows.repeat(many), factors.others.ravel())), size)
+    mix = csr_array((np.ones(count), (rows, factors.one)), size) - others
+    return graph._replace(
+        mix=vstack([graph.mix, mix]).tocsr(),
+        offset=np.concatenate([graph.offset, factors.offset]),
+        firm=np.concatenate([graph.firm, np.zeros(count, bool)]),
+        weight=np.concatenate([graph.weight, 1.0 / factors.variance]),
+        reach=np.concatenate([graph.reach, FACTOR_SCALE * np.sqrt(factors.variance) / graph.step]),
+    )
 
 
 def _from_middle(segments: Segments) -> np.ndarray:
@@ -122,15 +150,11 @@ def move_rigidly(ahead: np.ndarray) -> np.ndarray:
 
 
 def derive_apart(graph: PoseGraph, moves: np.ndarray) -> csc_array:
-    """Derivatives (2 p, k L) of all pairs' differences, in x, then y; readings move by (r, 2, k) with k unknowns."""
-    (_, _, unknowns), pairs, bars = moves.shape, len(graph.a), int(graph.bar[-1]) + 1
-    columns = unknowns * graph.bar[:, None] + np.arange(unknowns)
-    columns = np.tile(np.concatenate([columns[graph.a], columns[graph.b]], axis=1), (2, 1))
-    values = np.concatenate([moves[graph.a], -moves[graph.b]], axis=2).transpose(1, 0, 2)
-    rows = np.repeat(np.arange(2 * pairs), 2 * unknowns)
-    derived = csc_array((values.ravel(), (rows, columns.ravel())), shape=(2 * pairs, unknowns * bars))
-    derived.eliminate_zeros()
-    return derived
+    """Derivatives (2 d, k L) of all differences, in x, then y; readings move by (r, 2, k) with k unknowns."""
+    (readings, _, unknowns), bars = moves.shape, int(graph.bar[-1]) + 1
+    columns = (unknowns * graph.bar[:, None] + np.arange(unknowns)).ravel()
+    where, size = (np.repeat(np.arange(readings), unknowns), columns), (readings, unknowns * bars)
+    return csc_array(vstack([graph.mix @ csr_array((moves[:, axis].ravel(), where), size) for axis in range(2)]))
 
 
 def make_normal(jacobian: csc_array, trust: np.ndarray) -> csc_array:
@@ -143,8 +167,8 @@ def make_normal(jacobian: csc_array, trust: np.ndarray) -> csc_array:
 
 
 def weigh(graph: PoseGraph, apart: np.ndarray, scale: float) -> np.ndarray:
-    """Robust weights (p,) [1 / m^2] of pairs that are ``apart`` (p, 2) [m], by ``scale`` [m]."""
-    robust = (1.0 + (apart**2).sum(axis=1) / scale**2) ** -2
+    """Robust weights (d,) [1 / m^2] of differences that are ``apart`` (d, 2) [m], by ``scale`` [m]."""
+    robust = (1.0 + (apart**2).sum(axis=1) / (scale * graph.reach) ** 2) ** -2
     return graph.weight * np.where(graph.firm, 1.0, robust)
 
 
@@ -171,8 +195,8 @@ class Relaxed(NamedTuple):
 class Normal(NamedTuple):
     """Normal equations of one round."""
 
-    jacobian: csc_array  # Derivatives of the pairs' differences (2 p, u)
-    trust: np.ndarray  # Weights of these (2 p,) [1 / m^2]
+    jacobian: csc_array  # Derivatives of the differences (2 d, u)
+    trust: np.ndarray  # Weights of these (2 d,) [1 / m^2]
     prior: np.ndarray  # Inverse variances of the unknowns (u,)
     factors: SuperLU  # Of the normal equations
 
@@ -220,7 +244,7 @@ class UnevenBars:
         The sum of usual lengths stays, as the map has no other scale.
         """
         graph, (point, ahead) = self._graph, self.place()
-        jacobian, apart = derive_apart(graph, self.derive(ahead)), point[graph.a] - point[graph.b]
+        jacobian, apart = derive_apart(graph, self.derive(ahead)), graph.mix @ point - graph.offset
         trust = np.tile(weigh(graph, apart, scale), 2)
         prior = np.zeros_like(self.unknown)
         prior[:, 3:] = self.usual[:, None] / (noise * self._std) ** 2
@@ -247,14 +271,21 @@ class UnevenBars:
         self.noise = max(float((self.usual[:, None] * squared).mean()) / self.noise, MIN_NOISE)
 
 
-def relax_unevenly(places: np.ndarray, segments: Segments, closures: LoopClosures, rng: np.random.Generator) -> Relaxed:
+def relax_unevenly(
+    places: np.ndarray,
+    segments: Segments,
+    closures: LoopClosures,
+    rng: np.random.Generator,
+    factors: Factors | None = None,
+) -> Relaxed:
     """Move all segments, and their readings along them, to where they fit one another; arguments as for ``relax``.
 
-    Minimises the cost of ``relax`` plus ``sum (c_k / (w s_k))^2`` over the bars' middles, headings and coefficients
-    ``c_k``, with ``s_k = sqrt(2 n) g / (k pi)`` for n gaps of length g of noise w, of which ``rng`` draws samples.
+    Minimises the cost of ``relax``, also of registrations, if any, plus ``sum (c_k / (w s_k))^2`` over the bars'
+    middles, headings and coefficients ``c_k``, with ``s_k = sqrt(2 n) g / (k pi)`` for n gaps of length g of noise w,
+    of which ``rng`` draws samples.
     """
     placed = np.asarray(np.isfinite(places).all(axis=1))
-    graph = build_pose_graph(segments, closures, placed)
+    graph = build_pose_graph(segments, closures, placed, factors)
     bars = UnevenBars(graph, places)
     for scale in graph.step * np.geomspace(FIRST_UNEVEN_SCALE, LAST_UNEVEN_SCALE, UNEVEN_ROUNDS):
         bars.estimate_noise(bars.move(scale, bars.noise), rng)

@@ -218,7 +218,7 @@ def test_the_derivatives_of_registrations_agree_with_finite_differences():
     made = drive(40, noise=1.0, gaps=0.1, curvature=0.02, mount=(0.05, 0.02))
     found = find_map(made)
     bars = found.layout.bars
-    factors = register(made, found, 1e6).find_readings(bars, len(made.place))  # so that no weight is robust
+    factors = register(made, found, 1e6).number(bars.find_readings(len(made.place)))  # so that no weight is robust
     equations = Equations()
     add_factors(equations, bars, factors, 1e-6)
     jacobian, residual = equations.assemble(bars.count)

@@ -5,6 +5,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.sparse import csr_array
 from scipy.spatial import KDTree
 
 from deepgps.data.segments import Segments, read_segments
@@ -100,7 +101,8 @@ def make_graph(bars: list) -> tuple[PoseGraph, np.ndarray]:
     a, b = pairs[bar[pairs[:, 0]] != bar[pairs[:, 1]]].T
     along = np.concatenate([way - way.mean() for way in ways])
     count = np.arange(len(point))
-    return PoseGraph(count, along, bar, a, b, np.zeros(len(a), bool), np.ones(len(a)), STEP), point
+    ones, mix = np.ones(len(a)), csr_array((len(a), len(point)))
+    return PoseGraph(count, along, bar, a, b, mix, np.zeros((len(a), 2)), ones < 0, ones, ones, STEP), point
 
 
 def test_a_part_that_meets_the_rest_along_one_line_could_be_mirrored():

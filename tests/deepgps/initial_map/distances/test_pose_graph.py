@@ -8,10 +8,12 @@ import pytest
 import torch
 
 from deepgps.data.segments import Segments, read_segments
+from deepgps.initial_map.compass.factors import Factors
 from deepgps.initial_map.distances.isomap import LoopClosures, find_loop_closures, map_by_paths
 from deepgps.initial_map.distances.pose_graph import (
     MIN_NOISE,
     UnevenBars,
+    add_factors,
     build_pose_graph,
     derive_apart,
     relax,
@@ -183,16 +185,39 @@ def test_a_bar_whose_encoder_stood_still_or_that_is_nowhere_does_no_harm(closed:
     assert estimated >= MIN_NOISE
 
 
+def make_factors(place: np.ndarray, variance: float) -> Factors:
+    """Registrations of 200 observations on three others each, without any error."""
+    rng = np.random.default_rng(3)
+    one, others = rng.integers(len(place), size=200), rng.integers(len(place), size=(200, 3))
+    weight = rng.dirichlet(np.ones(3), 200)
+    offset = place[one] - np.einsum("mk,mkd->md", weight, place[others])
+    return Factors(one, others, weight, offset, np.full(200, variance))
+
+
+def test_registrations_mend_a_map_and_change_nothing_where_they_say_nothing(closed: Closed):
+    place, exact, closures = closed
+    segments = make_noisy(exact, 0.2)
+    plain = refine(place, segments, closures)[0]
+    start, rng = fit_alignment(plain, place, "E2").apply(plain), np.random.default_rng(0)
+    mended = relax_unevenly(start, segments, closures, rng, make_factors(place, 1e-5)).places
+    assert rms(mended, place) < 0.7 * rms(plain, place)
+    vague, none = (
+        relax_unevenly(start, segments, closures, np.random.default_rng(0), factors).places
+        for factors in (make_factors(place, 1e8), None)
+    )
+    assert np.allclose(vague, none, atol=0.003)  # samples differ
+
+
 def test_derivatives_agree_with_finite_differences(closed: Closed):
     place, segments, closures = closed
     graph = build_pose_graph(segments.take(torch.arange(12)), closures, np.ones(len(place), bool))
+    graph = add_factors(graph, make_factors(place[graph.observation], 1e-4))
     bars = UnevenBars(graph, place)
     bars.unknown += 0.02 * np.random.default_rng(2).standard_normal(bars.unknown.shape)
     derived = derive_apart(graph, bars.derive(bars.place()[1])).toarray()
 
     def apart() -> np.ndarray:
-        point = bars.place()[0]
-        return (point[graph.a] - point[graph.b]).T.ravel()
+        return (graph.mix @ bars.place()[0]).T.ravel()
 
     for column in range(bars.unknown.size):
         ends = []
