@@ -15,10 +15,11 @@ from deepgps.data.checks import check_view
 from deepgps.robot_io.logs.camera import PolarSource, open_polar
 from deepgps.robot_io.logs.containers import open_log
 from deepgps.robot_io.logs.drive import LoggedDrive, find_drive
-from deepgps.robot_io.logs.importing import read_times
+from deepgps.robot_io.logs.importing import open_images, read_times
 from deepgps.robot_io.logs.lag import compare_wheels
-from deepgps.robot_io.logs.pictures import ImageList, decode_file, open_images, take_images
+from deepgps.robot_io.logs.pictures import decode_file, take_images
 from deepgps.robot_io.logs.robot_config import RobotConfig, load_config
+from deepgps.robot_io.logs.sample import Heard
 from deepgps.robot_io.logs.segmentation import Path as Odometry
 from deepgps.robot_io.logs.segmentation import find_path
 from deepgps.terminal.progress import Report
@@ -132,7 +133,7 @@ class LogSource:
     """A log that is read."""
 
     polar: PolarSource  # What makes polar images of its images
-    listed: ImageList  # Times of the images
+    listed: Heard  # Times of the images
     # Distance and heading by the wheels at each image, NaN where they are not known; None: not asked for
     odometry: Odometry | None
 

@@ -6,8 +6,8 @@ import numpy as np
 
 from deepgps.robot_io.logs.clocks import Clocked, choose_times
 from deepgps.robot_io.logs.messages import OdometryLog, PoseLog, WheelLog
-from deepgps.robot_io.logs.pictures import ImageList
 from deepgps.robot_io.logs.robot_config import RobotConfig
+from deepgps.robot_io.logs.sample import Heard
 from deepgps.robot_io.logs.segmentation import Driven, follow
 from deepgps.robot_io.logs.wheels import clean_wheels, fill_counts, interpolate
 from sim.geometry import wrap
@@ -27,7 +27,7 @@ class LoggedDrive:
     from_odometry: bool  # Whether the wheels are computed from an odometry
 
 
-def find_drive(config: RobotConfig, wheel_log: WheelLog, listed: ImageList, pose_log: PoseLog | None) -> LoggedDrive:
+def find_drive(config: RobotConfig, wheel_log: WheelLog, listed: Heard, pose_log: PoseLog | None) -> LoggedDrive:
     """Bring everything to one clock and find what the robot did; raises InputError like ``import_log``."""
     from_odometry = isinstance(wheel_log, OdometryLog)
     heard = [one for one in (wheel_log, listed, pose_log) if one is not None]

@@ -17,9 +17,10 @@ from deepgps.robot_io.logs.containers import Log, open_log
 from deepgps.robot_io.logs.drive import LoggedDrive, find_drive
 from deepgps.robot_io.logs.lag import compare_wheels
 from deepgps.robot_io.logs.matching import Images, Plan, describe, note_cover, note_reach, plan_recording
-from deepgps.robot_io.logs.messages import PoseLog, WheelLog, open_poses, open_wheels
-from deepgps.robot_io.logs.pictures import ImageList, open_images
+from deepgps.robot_io.logs.messages import POSE_KINDS, PoseLog, WheelLog, open_wheels
+from deepgps.robot_io.logs.pictures import KINDS as IMAGE_KINDS
 from deepgps.robot_io.logs.robot_config import RobotConfig
+from deepgps.robot_io.logs.sample import Heard
 from deepgps.robot_io.logs.segmentation import KINDS, find_path
 from deepgps.terminal.progress import Report
 from sim.errors import InputError
@@ -63,19 +64,25 @@ def import_log(path: Path, config: RobotConfig, out: Path, progress: Report, con
         return _Import(config, source, drive, lag_s).write(about, notes, out, progress)
 
 
-def read_times(log: Log, config: RobotConfig, progress: Report) -> tuple[WheelLog, ImageList, PoseLog | None]:
+def read_times(log: Log, config: RobotConfig, progress: Report) -> tuple[WheelLog, Heard, PoseLog | None]:
     """Read wheels, times of images, and poses, all at once."""
-    wheels, images = open_wheels(log, config.wheels), open_images(log, config.camera.topic)
-    takers, poses = {config.wheels.topic: wheels.take, images.topic: images.take}, None
+    wheels, images, poses = open_wheels(log, config.wheels), open_images(log, config.camera.topic), None
     if config.pose:
-        poses = open_poses(log, config.pose.topic)
-        if config.pose.topic in takers:
-            raise InputError(f"pose.topic {config.pose.topic}: is the topic of the wheels or of the camera")
-        takers[config.pose.topic] = poses.take
-    log.feed(takers, progress)
-    for one in filter(None, (wheels, images, poses)):
+        log.check_topic(config.pose.topic, "pose.topic", POSE_KINDS)
+        if config.pose.topic == wheels.topic:
+            raise InputError(f"pose.topic {config.pose.topic}: is the topic of the wheels")
+        poses = PoseLog(config.pose.topic)
+    heard = [one for one in (wheels, images, poses) if one is not None]
+    log.feed({one.topic: one.take for one in heard}, progress)
+    for one in heard:
         one.check()
     return wheels, images, poses
+
+
+def open_images(log: Log, topic: str) -> Heard:
+    """Prepare to list the times of a topic's images; raises InputError if there is no such topic."""
+    log.check_topic(topic, "camera.topic", IMAGE_KINDS)
+    return Heard(topic)
 
 
 @dataclass(frozen=True)

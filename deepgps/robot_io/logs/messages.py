@@ -15,7 +15,6 @@ from sim.geometry import wrap
 JOINT_STATE, ODOMETRY = "sensor_msgs/msg/JointState", "nav_msgs/msg/Odometry"
 MIN_LENGTH = 1e-6  # Length of a quaternion up to which it tells no orientation
 MAX_SIDEWAYS_SHARE = 0.2  # Part of an odometry's path that may go sideways; more, and its orientation is wrong
-UNUSABLE_NOTE = "the position or the quaternion is not finite, or the quaternion is 0"  # Why a pose is left out
 POSE_KINDS = (
     "geometry_msgs/msg/PoseStamped",
     "geometry_msgs/msg/PoseWithCovarianceStamped",
@@ -26,6 +25,8 @@ POSE_KINDS = (
 
 class PoseLog(Heard):
     """The poses of a log."""
+
+    LEFT_OUT = "the position or the quaternion is not finite, or the quaternion is 0"
 
     @property
     def pose(self) -> np.ndarray:
@@ -42,16 +43,6 @@ class PoseLog(Heard):
             place, turn = inner.position, inner.orientation
         pose = float(place.x), float(place.y), read_yaw(turn)
         return pose if all(map(math.isfinite, pose)) else None
-
-    def list_notes(self) -> list[str]:
-        """What the user should know of the messages."""
-        return [f"{self.topic}: {self.without} messages are left out: {UNUSABLE_NOTE}"] if self.without else []
-
-    def check(self) -> None:
-        """Raise InputError if there is no pose."""
-        if not self.log_ns:
-            why = f": in {self.without} messages {UNUSABLE_NOTE}" if self.without else ""
-            raise InputError(f"{self.topic} holds no pose{why}")
 
 
 def read_yaw(turn: Any) -> float:
@@ -101,6 +92,8 @@ class JointLog(Heard):
     """The wheels of joint states; only positions are read, since TurtleBot3 writes m/s where the message promises
     rad/s."""
 
+    LEFT_OUT = "they hold neither wheel"
+
     def __init__(self, config: WheelConfig) -> None:
         super().__init__(config.topic)
         self.config = config
@@ -126,20 +119,15 @@ class JointLog(Heard):
             found.append(value if math.isfinite(value) else math.nan)
         return None if all(map(math.isnan, found)) else tuple(found)
 
-    def list_notes(self) -> list[str]:
-        """What the user should know of the messages."""
-        return [f"{self.topic}: {self.without} messages hold neither wheel"] if self.without else []
-
     def check(self) -> None:
         """Raise InputError unless there are positions of both wheels."""
-        if not self._names:
-            raise InputError(f"{self.topic} holds no message of wheels")
-        if self._speeds_only:
+        if self._names and self._speeds_only:
             raise InputError(f"{self.topic}: positions are empty in all messages, and the wheels' angles are needed")
         for name, angle in zip((self.config.left, self.config.right), self.angle.T, strict=True):
-            if np.isnan(angle).all():
+            if self._names and np.isnan(angle).all():
                 there = ", ".join(sorted(self._names)[:12])
                 raise InputError(f"{self.topic} has no position of a joint {quote(name)}; its joints are {there}")
+        super().check()
 
 
 def find_joint(names: Sequence[str], wanted: str, topic: str) -> int:
@@ -169,9 +157,3 @@ def open_wheels(log: Log, config: WheelConfig) -> WheelLog:
     if config.backward != "none":
         raise InputError(f"wheels.backward {config.backward} must be none: {config.topic} is an odometry")
     return OdometryLog(config)
-
-
-def open_poses(log: Log, topic: str) -> PoseLog:
-    """Prepare to read the poses of a topic; raises InputError if there is no such topic."""
-    log.check_topic(topic, "pose.topic", POSE_KINDS)
-    return PoseLog(topic)

@@ -7,7 +7,6 @@ import cv2
 import numpy as np
 
 from deepgps.robot_io.logs.containers import Log
-from deepgps.robot_io.logs.sample import Heard
 from sim.errors import InputError, one_line, quote
 
 RAW_IMAGE, COMPRESSED_IMAGE = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
@@ -104,21 +103,6 @@ def decode_compressed(message: Any) -> np.ndarray:
     _, code = ENCODINGS[stored if mosaic else "bgr8"]
     assert code is not None
     return cv2.cvtColor(pixels, code)
-
-
-class ImageList(Heard):
-    """Times of a topic's images, which are not decoded."""
-
-    def check(self) -> None:
-        """Raise InputError if there is no image."""
-        if not self.log_ns:
-            raise InputError(f"camera.topic {self.topic} holds no image")
-
-
-def open_images(log: Log, topic: str) -> ImageList:
-    """Prepare to list a topic's images; raises InputError if there is no such topic."""
-    log.check_topic(topic, "camera.topic", KINDS)
-    return ImageList(topic)
 
 
 def take_images(log: Log, topic: str, wanted: Collection[int]) -> Iterator[tuple[int, np.ndarray | InputError]]:

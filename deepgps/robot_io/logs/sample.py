@@ -40,6 +40,8 @@ class Heard:
         without: Number of messages that hold no such numbers, and are left out.
     """
 
+    LEFT_OUT = ""  # Why messages are left out
+
     def __init__(self, topic: str) -> None:
         self.topic, self.log_ns, self.stamp_ns, self.without = topic, array("q"), array("q"), 0
         self._values = array("d")
@@ -56,6 +58,16 @@ class Heard:
     def read(self, sample: Sample) -> tuple[float, ...] | None:
         """The numbers that are kept of a message; None: it holds none."""
         return ()
+
+    def list_notes(self) -> list[str]:
+        """What the user should know of the messages."""
+        return [f"{self.topic}: {self.without} messages are left out: {self.LEFT_OUT}"] if self.without else []
+
+    def check(self) -> None:
+        """Raise InputError if there is no message that can be used."""
+        if not self.log_ns:
+            why = f": {self.without} are left out: {self.LEFT_OUT}" if self.without else ""
+            raise InputError(f"{self.topic} holds no message that can be used{why}")
 
 
 @contextmanager

@@ -45,7 +45,9 @@ def test_joints_are_found_in_any_order_and_with_a_prefix_and_may_be_missing() ->
     known = (["l", "r"], [1.0, 2.0]), (["r", "l"], [2.0, 1.0]), (["arm", "b/l", "b/r"], [9.0, 1.0, 2.0])
     read = read_joints(*known, (["l", "r"], [1.0]), (["arm"], [3.0]), (["l", "r"], []))
     np.testing.assert_array_equal(read.angle, [[1.0, 2.0]] * 3 + [[1.0, np.nan]])
-    assert read.without == 2 and read.list_notes() == ["/joint_states: 2 messages hold neither wheel"]
+    assert read.without == 2 and read.list_notes() == [
+        "/joint_states: 2 messages are left out: they hold neither wheel"
+    ]
     for backward, signs in (("left", (-1, 1)), ("right", (1, -1)), ("both", (-1, -1))):
         np.testing.assert_array_equal(read_joints(*known, backward=backward).angle, [[1.0, 2.0] * np.array(signs)] * 3)
     for message, said in (
@@ -69,5 +71,7 @@ def test_poses_and_odometries_without_an_orientation_are_left_out_or_refused() -
         assert poses.without == wheels.without == math.ceil(10 / every)
         assert len(poses.pose) == len(wheels.angle) == 10 - poses.without
     for one, topic in ((poses, "/pose"), (wheels, JOINTS)):
-        with pytest.raises(InputError, match=rf"{topic} holds no pose: in 10 messages .* quaternion is 0"):
+        with pytest.raises(
+            InputError, match=rf"{topic} holds no message that can be used: 10 are left out: .* quaternion is 0"
+        ):
             one.check()
