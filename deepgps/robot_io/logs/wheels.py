@@ -8,7 +8,7 @@ last count. Without this, a robot that drives evenly seems to jump, stop and tur
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import median_filter
+from scipy.ndimage import maximum_filter1d, median_filter
 
 from deepgps.data.segments import find_stretches
 from sim.errors import InputError
@@ -102,7 +102,8 @@ def clean_wheels(
         notes.append(f"at {time_s[np.argmax(spike)]:.2f} s: {spike.sum()} messages jump and are left out")
         time_s, angle = time_s[~spike], angle[~spike]
         jumps, _ = _find_jumps(time_s, angle)
-    seconds, moved = np.diff(time_s), np.abs(np.diff(angle, axis=0)).max(axis=1)
+    seconds = np.diff(time_s)
+    moved = maximum_filter1d(np.abs(np.diff(angle, axis=0)).max(axis=1), 3)  # in a gap, it may be a turn and seem none
     silent, paused = (seconds > GAP_S) & (moved > REST_RAD) & ~jumps, np.zeros(len(seconds), bool)
     if image_s is not None:
         heard_s = np.sort(np.concatenate([time_s, image_s[(image_s > time_s[0]) & (image_s < time_s[-1])]]))
@@ -150,7 +151,7 @@ def _find_jumps(time_s: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.n
     turns_on = np.abs(smooth[after] - smooth[before]) > REST_RAD  # at rest, a wheel may tremble for hours
     top = max(_find_usual_top((np.abs(np.diff(smooth, axis=0)) / seconds)[turns_on]), MIN_TOP_SPEED_RADPS)
     jumps = np.abs(np.diff(angle, axis=0)) > JUMP_SPEED_RATIO * top * seconds + REST_RAD
-    apart = np.abs(angle - smooth) > REST_RAD
+    apart = np.abs(angle - smooth) > REST_RAD + np.array([_find_tick(wheel) for wheel in angle.T])
     return jumps[:, 0] | jumps[:, 1], apart[:, 0] | apart[:, 1]
 
 
@@ -204,10 +205,8 @@ def fill_counts(wheels: Wheels, topic: str) -> Wheels:
     """
     angle, ticks = wheels.angle.copy(), list[float]()
     for wheel in angle.T:
-        step = np.abs(np.diff(wheel))
-        step = step[step > 0.0]
-        tick = float(np.percentile(step, MIN_STEP_PERCENTILE)) if len(step) else 0.0
-        if tick > 0.0 and tick > COARSE_STEP_RATIO * np.median(step):
+        step, tick = np.abs(np.diff(wheel)), _find_tick(wheel)
+        if tick > 0.0 and tick > COARSE_STEP_RATIO * np.median(step[step > 0.0]):
             wheel[:] = _fill(wheels.time_s, wheel)
             ticks.append(2 * np.pi / tick)
     notes = [
@@ -216,6 +215,12 @@ def fill_counts(wheels: Wheels, topic: str) -> Wheels:
         if least < MIN_TICKS_PER_REV
     ]
     return replace(wheels, angle=angle, notes=(*wheels.notes, *notes))
+
+
+def _find_tick(angle: np.ndarray) -> float:
+    """The smallest step of angles (n,) [rad], but for repairs; 0: there is none."""
+    step = np.abs(np.diff(angle))
+    return float(np.percentile(step[step > 0.0], MIN_STEP_PERCENTILE)) if step.any() else 0.0
 
 
 def _fill(time_s: np.ndarray, angle: np.ndarray) -> np.ndarray:

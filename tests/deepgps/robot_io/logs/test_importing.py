@@ -33,7 +33,6 @@ from tests.helpers.robot_log import (
     make_notes,
     seconds,
     set_fields,
-    sort,
     write_log,
     write_plain,
 )
@@ -195,12 +194,6 @@ def damage(*numbers: int) -> Change:
     return on(CAMERA, lambda n, note: set_fields(note, data=note.fields["data"][:20]) if n in numbers else note)
 
 
-def add_publisher(notes: list[Note]) -> list[Note]:
-    """Another program publishes zeros for the same joints."""
-    more = [replace(note, log_ns=note.log_ns + 10**7, stamp_ns=note.stamp_ns + 10**7) for note in notes]
-    return sort([*notes, *(set_fields(note, position=np.zeros(2)) for note in more if note.topic == JOINTS)])
-
-
 def restart(notes: list[Note]) -> list[Note]:
     """The wheels' counter begins at zero again after 14 s."""
     last = [note.fields["position"] for note in notes if note.topic == JOINTS and seconds(note) < 14.0][-1]
@@ -326,7 +319,6 @@ LATE_REFUSALS: dict[str, tuple[Change, str]] = {
         damage(*range(20, 334, 15)),
         r"/camera/image_raw at \d+\.\d+ s: .*picture is damaged; damaged",
     ),
-    "two publishers": (add_publisher, r"/joint_states at \d+\.\d\d s: .* more than one program published"),
 }
 """Logs whose drive or pictures are refused."""
 
@@ -345,7 +337,7 @@ def test_what_cannot_be_used_is_refused_in_one_line(case: str, notes: list[Note]
 
 
 @pytest.mark.parametrize(
-    "case", [case if case in {"alike", "two publishers"} else pytest.param(case, marks=slow) for case in LATE_REFUSALS]
+    "case", [case if case == "alike" else pytest.param(case, marks=slow) for case in LATE_REFUSALS]
 )
 def test_what_contradicts_itself_is_refused_in_one_line(case: str, notes: list[Note], tmp_path: Path) -> None:
     check_refused(*LATE_REFUSALS[case], notes, tmp_path)

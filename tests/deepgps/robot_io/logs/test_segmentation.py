@@ -145,7 +145,7 @@ def test_messages_that_come_late_are_no_restarts() -> None:
         assert not found.broken.any() and not found.notes
 
 
-@pytest.mark.parametrize("trembling", [TICK, 1e-5])
+@pytest.mark.parametrize("trembling", [64 * TICK, TICK, 1e-5])
 def test_encoders_that_tremble_at_rest_for_long_are_no_restarts(trembling: float) -> None:
     wheels, rng = sample(), np.random.default_rng(0)
     still_s = np.arange(PERIOD_S, 900.0, PERIOD_S)
@@ -167,6 +167,16 @@ def test_wheels_in_messages_of_their_own_are_unwrapped_before_they_are_interpola
     assert not found.broken.any()
     travelled = np.ptp(wheels.angle[:, 0])
     assert np.ptp(found.angle[:, 0]) == pytest.approx(travelled, abs=0.1)
+
+
+@pytest.mark.parametrize("every", [1, 3, 7, 20, 40])
+def test_another_program_that_publishes_the_same_joints_is_refused_however_seldom(every: int) -> None:
+    wheels = sample((2.0,) * 6)
+    rows = np.arange(3, len(wheels.time_s), every)
+    time_s = np.concatenate([wheels.time_s, wheels.time_s[rows] + 0.01])
+    angle = np.concatenate([wheels.angle, np.zeros((len(rows), 2))])
+    with pytest.raises(InputError, match=r"/joint_states at .* more than one program published"):
+        clean_wheels(time_s, angle, 4096, "/joint_states")
 
 
 def test_a_clock_that_is_set_back_and_too_few_messages_are_refused() -> None:
