@@ -22,7 +22,7 @@ def add_glare(light: np.ndarray, glare: float, px_per_deg: float) -> np.ndarray:
     rows, columns = light.shape[0] // COARSENESS, light.shape[1] // COARSENESS
     lamps = cv2.resize(light * bright * np.float32(LAMP_LIGHT), (columns, rows), interpolation=cv2.INTER_AREA)
     blur = partial(cv2.GaussianBlur, lamps, (0, 0), borderType=cv2.BORDER_CONSTANT)
-    scattered = sum(share * blur(sigmaX=sigma_deg * px_per_deg / COARSENESS) for share, sigma_deg in SCATTERS)
+    scattered = np.sum([share * blur(sigmaX=deg * px_per_deg / COARSENESS) for share, deg in SCATTERS], axis=0)
     return light + np.float32(glare) * cv2.resize(scattered, light.shape[1::-1], interpolation=cv2.INTER_LINEAR)
 
 
