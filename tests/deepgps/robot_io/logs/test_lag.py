@@ -68,6 +68,8 @@ def test_images_that_turn_without_the_wheels_are_refused_or_noted_with_figures()
         judge(beside(none, pairs, pairs.turned), time_s, 0.02 * np.sin(yaw), 0.0)
     assert judge(beside(pairs, pairs, rest), time_s, yaw, 0.0) == (0.0, [])
     assert judge(beside(none, pairs, rest), time_s, 0.0 * yaw, 0.0) == (0.0, [])
+    frozen = pairs._replace(turned=pairs.turned * (pairs.first_s < 15.0))
+    assert "while the wheels turn, images do not turn, first at 1" in judge(frozen, time_s, yaw, 0.0)[1][0]
     after = pairs._replace(first_s=pairs.first_s + 1e4, second_s=pairs.second_s + 1e4)
     _, (note,) = judge(beside(pairs, after, rest + 0.2 * (np.arange(len(rest)) % 3 == 0)), time_s, yaw, 0.0)
     assert "in 33% of " in note and "while the wheels do not turn, images do, by" in note
