@@ -47,6 +47,7 @@ COMMANDS = {
     "view": Command("results", "ViewArguments", "open a run or a study in Rerun, or two runs with their difference"),
     "import": Command("robot", "ImportArguments", "make a recording from the log of a robot"),
     "diagnose": Command("results", "DiagnoseArguments", "say what is wrong with the wheels, and what to set"),
+    "wheels": Command("robot", "WheelsArguments", "calibrate a real robot's wheels, and imitate their noise"),
     "track": Command("results", "TrackArguments", "track the robot through a drive, by images and odometry"),
     "export": Command("robot", "ExportArguments", "write trajectories for other tools, or a method for a robot"),
     "locate": Command("robot", "LocateArguments", "say where images were taken, as they come"),

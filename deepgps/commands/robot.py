@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from deepgps.commands.parse import Live, OptionalFile, OptionalFolder, OptionalMethod, Plugins, RunFolder, parse, watch
-from deepgps.terminal.console import errors, quote_path, say
+from deepgps.terminal.console import console, errors, quote_path, say
 from deepgps.terminal.failures import working_in
 from deepgps.terminal.progress import show_progress
 from sim.errors import InputError, WorkError
@@ -81,6 +81,35 @@ def import_command(words: Sequence[str]) -> None:
     say(write_summary(about))
     method = " --methods deepgps_compass" if about["turns_seen"] else ""
     say(f"\nimported: {arguments.out}; train on it: deepgps run {quote_path(arguments.out)}{method}")
+
+
+@dataclass(frozen=True)
+class WheelsArguments:
+    files: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="FILE ..."), tyro.conf.Positional]
+    """A CSV file for each run: time_s, x_m, y_m, yaw_rad by a tracker, and left_ticks, right_ticks (counts so far) or
+    left_increment, right_increment (ticks since the row before). Without a header: time, x, y, yaw, right, left."""
+    wheel_diameter_m: Annotated[float, tyro.conf.arg(metavar="M")]
+    """Diameter of the wheels, as assumed [m]."""
+    track_m: Annotated[float, tyro.conf.arg(metavar="M")]
+    """Distance between the wheels, as assumed [m]."""
+    ticks_per_rev: Annotated[float, tyro.conf.arg(metavar="N")]
+    """Ticks of a wheel's turn, with its gear."""
+    same_day: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """Files whose names begin with the same N characters are left out together; none: each file alone."""
+
+
+def wheels_command(words: Sequence[str]) -> None:
+    """Calibrate a real robot's wheels by runs with true poses, and say which settings of the simulator do the same."""
+    arguments = parse(WheelsArguments, "wheels", words, wheels_command.__doc__)
+    from deepgps.evaluation.wheels import measure_wheels, read_run
+    from deepgps.reports.wheels_page import print_wheels
+
+    assumed, per_rev = (*[arguments.wheel_diameter_m / 2.0] * 2, arguments.track_m), arguments.ticks_per_rev
+    if not (min(assumed) > 0.0 and 4.0 <= per_rev <= 65536.0):
+        raise InputError("--wheel-diameter-m and --track-m must be greater than 0, --ticks-per-rev from 4 to 65536")
+    runs = [read_run(path, per_rev, assumed) for path in arguments.files]
+    wheels = measure_wheels(runs, [path.name[: arguments.same_day] for path in arguments.files], assumed)
+    print_wheels(wheels, assumed, wheels.model.make_settings(assumed, per_rev), console)
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from rich.console import Console
 from deepgps.diagnosis.diagnosis import Diagnosis, Estimate
 from deepgps.diagnosis.findings import UNKNOWN_SCALE_NOTE, Finding, find_faults, list_smallest
 from deepgps.evaluation.segment_errors import measure_segments
+from deepgps.evaluation.wheels import Wheels, list_errors, measure_spread
 from deepgps.reports.plots import SCREEN
 from deepgps.reports.table import print_table, say, tabulate
 from sim.recording.format import Recording
@@ -48,6 +49,22 @@ QUANTITIES = {
 }
 
 
+DEG = np.pi / 180
+REAL_QUANTITIES = {
+    "left_m": Quantity("left radius", "mm", 1e-3, 2, "wheel"),
+    "right_m": Quantity("right radius", "mm", 1e-3, 2, "wheel"),
+    "track_m": Quantity("track width", "mm", 1e-3, 2, "track"),
+    "step_noise": QUANTITIES["step_noise"],
+    "slip_per_m": QUANTITIES["slip_per_m"],
+    "length_per_m": Quantity("length, after a metre", "mm", 1e-3, 2, "slip"),
+    "heading_per_m": Quantity("heading, after a metre", "deg", DEG, 2, "slip"),
+    "heading_per_rad": Quantity("heading, after a radian", "deg", DEG, 2, "slip"),
+    "tracker_m": Quantity("tracker, length of a gap", "mm", 1e-3, 2, ""),
+    "tracker_rad": Quantity("tracker, turn of a gap", "deg", DEG, 2, ""),
+}
+"""Quantities that a tracker tells; errors after a metre and a radian are random."""
+
+
 def list_rows(diagnosis: Diagnosis) -> list[list[str]]:
     """A row for each quantity: its title, value, interval, what is assumed, and the smallest detectable fault."""
     least, odometry = list_smallest(diagnosis), diagnosis.odometry
@@ -79,6 +96,27 @@ def print_diagnosis(diagnosis: Diagnosis, console: Console) -> None:
     say(console, *(f"{line}\n" for line in _list_findings(diagnosis, faults)), style=style)
     print_table(console, HEADINGS, list_rows(diagnosis))
     say(console, f"\n{_say_how(diagnosis)}", f"\n{UNKNOWN_SCALE_NOTE}")
+
+
+def print_wheels(wheels: Wheels, assumed: Sequence[float], settings: EncoderSettings, console: Console) -> None:
+    """Print constants and noise by a tracker, the errors of gaps, how well runs left out are told, and the settings."""
+    rows = [[one.title, *_tell(wheels.intervals[name], one)] for name, one in REAL_QUANTITIES.items()]
+    print_table(console, HEADINGS[:3], rows)
+    left, right, track = (one / true for one, true in zip(assumed, wheels.model, strict=False))
+    drift, turn = (right - left) / assumed[2] / DEG, (left + right) / 2 / track - 1
+    lines = ["", f"As assumed, headings drift by {drift:+.2f} degrees a metre, and turns are {turn:+.1%} off."]
+    for length, gaps in wheels.gaps.items():
+        error, model = list_errors(gaps)["along"][0], wheels.model.expect_spread(length)
+        spread = measure_spread(error)
+        beyond = (np.abs(error - np.median(error)) > 3.0 * spread).mean()
+        told = f"{1000 * spread:.2f} mm, by the model and the tracker's {1000 * model:.2f}"
+        lines.append(f"Gaps of {100 * length:g} cm: error {told}; beyond three deviations {beyond:.1%} (normal: 0.3 %)")
+    if wheels.ends_m:
+        before, after = np.transpose(list(wheels.ends_m.values()))
+        told = f"{(after / before).mean():.2f} times as far off as assumed ({len(before)} parts, each its median)"
+        lines += ["", f"Ends of runs left out in turn are {told}."]
+    written = [f"  {name}: {value:.4g}" for name, value in settings.model_dump(exclude_defaults=True).items()]
+    say(console, *lines, "", "In the simulator:", "encoder:", *written)
 
 
 def _is_measured(diagnosis: Diagnosis) -> bool:

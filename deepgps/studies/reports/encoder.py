@@ -25,6 +25,8 @@ TITLES: dict[Names, str] = {
 }
 PAIRS = (("registration_distances", "registration"), ("deepgps", "deepgps_compass"))
 """Methods on a map by distances alone and, with the same estimator, by compass."""
+REAL_FAULTS = ("radius_error_left", "radius_error_right", "slip_per_m", "step_noise", "ticks_per_rev", "track_error")
+COMBINATIONS = {tuple(f"encoder.{name}" for name in REAL_FAULTS): f"a small real robot: {', '.join(REAL_FAULTS)}"}
 NEARNESS_M = (0.02, 0.05)  # Errors that count as good enough, for two kinds of builders [m]
 GOOD_SHARE = 0.8  # The part of the test positions whose errors must be good enough
 NOTE = (
@@ -58,17 +60,18 @@ def name_near(near_m: float) -> str:
 
 
 def find_sweeps(rows: Sequence[Row], varied: Sequence[str]) -> list[Row]:
-    """A row for each sweep that a run is part of: of each fault that grows alone, or of a pair, from no fault on.
+    """A row for each sweep that a run is part of: of each fault that grows alone, or of several, from no fault on.
 
-    A sweep holds the rows without any fault; that of a pair also those with one fault of it, as strong as in the pair.
+    A sweep holds the rows without any fault; that of several also those with some of them, as strong as together.
     The smallest fault comes first. Further rows say which fault of a sweep a method bears.
     """
     changed = [(_list_changed(row), row) for row in rows]
     alone = [names for names in TITLES if any(names == found for found, _ in changed)]
-    pairs = sorted({names for names, _ in changed if len(names) == 2 and names not in TITLES})
+    several = {names for names, _ in changed if len(names) == 2 or names in COMBINATIONS}
+    pairs, titles = sorted(several - set(TITLES)), {**TITLES, **COMBINATIONS}
     sweeps, borne = [], []
     for names in (*alone, *pairs):
-        title = TITLES.get(names) or " with ".join(TITLES.get((name,), name) for name in names)
+        title = titles.get(names) or " with ".join(titles.get((name,), name) for name in names)
         ours = [row for found, row in changed if found in ((), names) or (names in pairs and set(found) < set(names))]
         grown = _grow_pair(names, ours) if names in pairs else _grow_alone(names, ours)
         for row in grown:

@@ -284,7 +284,7 @@ def test_what_little_reach_costs_is_told_for_each_method_where_there_is_any() ->
 
 NAMES = (
     *("encoder.ticks_per_rev", "encoder.step_noise", "encoder.radius_error_left", "encoder.radius_error_right"),
-    *("encoder.slip_per_m", "encoder.stuck_fraction", "robot.wheel_radius_error"),
+    *("encoder.slip_per_m", "encoder.stuck_fraction", "robot.wheel_radius_error", "encoder.track_error"),
 )
 TICKS, W, LEFT_RADIUS, RIGHT_RADIUS = NAMES[:4]
 SHARES = (("deepgps", 1.0), ("deepgps_compass", 0.5))
@@ -333,6 +333,9 @@ def test_faults_are_told_apart_from_pairs_of_them_and_grow_from_none() -> None:
         "error of both wheels' radius": [0.0, 0.02],
         "noise w of each gap with ticks per revolution": ["0, 4", "0, 4096", "0.1, 4", "0.1, 4096"],
     }
+    (names, title), *_ = encoder.COMBINATIONS.items()
+    real = make_sweeps({(): 0.01, tuple((name, 0.5) for name in names): 0.02})
+    assert [len(values) for sweep, values in list_values(real).items() if sweep == title] == [2]
     either_sign = make_sweeps({((LEFT_RADIUS, error),): 0.01 for error in (-0.1, 0.0, 0.02)})
     assert list_values(either_sign) == {"error of one wheel's radius": [0.0, 0.02, -0.1]}
 
