@@ -5,12 +5,12 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "lines of sim and deepgps": 40_978,
-    "files of sim and deepgps": 283,
-    "lines of tests": 28_440,
+    "lines of sim and deepgps": 41_308,
+    "files of sim and deepgps": 284,
+    "lines of tests": 28_600,
     "Python files directly in deepgps": 2,
     "words of decisions": 6_030,
-    "words of all other pages by hand": 18_886,
+    "words of all other pages by hand": 19_247,
     "words of the reference that the code does not say": 3_320,
     "words of published results": 8_000,
 }
