@@ -33,7 +33,6 @@ from sim.settings import CameraSettings
 MAX_DAMAGED_SHARE = 0.05  # Share of damaged images from which a log is refused
 MIN_SEGMENTS = 3
 """Segments from which one is held out, however small the part that is wanted: errors cannot be measured without."""
-
 HEIGHTS_M = (0.2, 1.5)  # Limits of the setting camera.height_m, by which only the viewer draws [m]
 
 
@@ -103,9 +102,10 @@ class _Import:
             numbers = np.concatenate(parts).tolist()
             check_space(out, 2 * len(numbers) * int(np.prod(source.shape)))
             images = source.draw(numbers, progress, "unwrap images")
-            for number, why in sorted(source.damaged.items())[:1]:
-                damage = [f"{source.topic} at {self.drive.image_s[number]:.2f} s: {why}; damaged images: "]
-                damage[0] += str(len(source.damaged))
+            if source.damaged:
+                first, count = min(source.damaged), len(source.damaged)
+                where = f"{source.topic} at {self.drive.image_s[first]:.2f} s"
+                damage = [f"{where}: {source.damaged[first]}; damaged images: {count}"]
             if len(source.damaged) > max(MAX_DAMAGED_SHARE * len(source.drawn), 1):
                 raise InputError(damage[0])
             if len(source.damaged) == before:
