@@ -41,11 +41,8 @@ CAMODOCAL_MODELS = {
 
 
 def find_camera(log: Log, config: CameraConfig, size: tuple[int, int]) -> RawCamera:
-    """The calibration of a log's camera, whose images have this width and height [px].
-
-    Raises:
-        InputError: There is none, it is impossible, or it is for images of another size.
-    """
+    """The calibration of a log's camera, whose images have this width and height [px]; raises InputError if there is
+    none, it is impossible, or it is for images of another size."""
     if config.info is not None:
         camera, where = _read_info(log, config.info), config.info
     elif config.file is not None:
@@ -222,11 +219,8 @@ class PolarSource:
 
 
 def open_polar(log: Log, config: CameraConfig, scratch: Path | None = None) -> PolarSource:
-    """Find the calibration, for the size of most of the first images that can be decoded.
-
-    Raises:
-        InputError: There is no such image, no calibration for it, or the camera sees too little.
-    """
+    """Find the calibration, for the size of most of the first images that can be decoded; raises InputError if there is
+    none, or the camera sees too little."""
     first = [image for _, image in take_images(log, config.topic, range(FIRST_IMAGES))]
     sizes = Counter((image.shape[1], image.shape[0]) for image in first if not isinstance(image, InputError))
     if not sizes:

@@ -111,8 +111,14 @@ def compare_wheels(
     rows = zip(*np.searchsorted(wanted, (first, second)), strict=True)
     turned = np.array([measure_shift(images[one], images[other]) for one, other in rows])
     pairs = Pairs(drive.image_s[first], drive.image_s[second], turned, in_turn)
-    path = drive.driven.path
-    return judge_pairs(pairs, drive.driven.wheels.time_s, path.yaw, path.travelled_m, given, source.topic)
+    time_s, path = drive.driven.wheels.time_s, drive.driven.path
+    lag_s, notes = judge_pairs(pairs, time_s, path.yaw, path.travelled_m, given, source.topic)
+    if drive.pose is not None:
+        poses = pairs._replace(turned=wrap(drive.pose[second, 2] - drive.pose[first, 2]))
+        lags = [one.seconds for one in (estimate_lag(some, time_s, path.yaw) for some in (pairs, poses)) if one]
+        if len(lags) == 2 and abs(late_s := lags[0] - lags[1]) > MAX_LAG_ERROR_S:
+            notes.append(f"poses come {1000 * late_s:+.0f} ms later than images, by their turns: do clocks differ?")
+    return lag_s, notes
 
 
 def _pair_images(drive: LoggedDrive) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

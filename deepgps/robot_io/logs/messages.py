@@ -132,10 +132,7 @@ class JointLog(Heard):
 
 def find_joint(names: Sequence[str], wanted: str, topic: str) -> int:
     """Index of a joint by its name or the end of its name after a prefix such as ``tb3_0/``; beyond the last: none.
-
-    Raises:
-        InputError: Two joints of the topic have such names.
-    """
+    Raises InputError if two joints of the topic have such names."""
     same = [index for index, name in enumerate(names) if name == wanted]
     like = same or [index for index, name in enumerate(names) if name.endswith((f"/{wanted}", f".{wanted}"))]
     if len(like) > 1:
