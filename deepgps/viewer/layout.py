@@ -53,7 +53,11 @@ def make_blueprint(
     by place are shown; and the one whose errors along the deployment drive are, with titles of its ways by name.
     """
     errors = rrb.Horizontal(series_view(*SEGMENT_ERROR, drive_s), series_view(*TICKS, drive_s))
-    beside = rrb.Vertical(distribution_view(), text_view("The place at the slider", "place/text"), row_shares=[3, 2])
+    beside = rrb.Vertical(
+        rrb.Spatial2DView(name="Distribution of errors", origin=DISTRIBUTION),
+        text_view("The place at the slider", "place/text"),
+        row_shares=[3, 2],
+    )
     return arrange(
         [
             _error_fields(space, layers, ["place/test/**"]),
@@ -205,11 +209,6 @@ def _aim_at(points: np.ndarray, views: int = 1) -> rrb.EyeControls3D:
     return _aim_at_rectangle(points.min(axis=0), points.max(axis=0), reach=max(1.2, 0.55 * views))
 
 
-def distribution_view() -> rrb.Spatial2DView:
-    """A view of the distribution of errors."""
-    return rrb.Spatial2DView(name="Distribution of errors", origin=DISTRIBUTION)
-
-
 def _camera_views(pictures: Mapping[str, str]) -> list[Part]:
     """Views of the sensors' pictures by their titles: those drawn for people above the others."""
     views = {name: rrb.Spatial2DView(name=title, origin=f"drive/{name}") for name, title in pictures.items()}
@@ -317,9 +316,11 @@ def _drive(
 def _making(space: FreeSpace, method: str) -> Part:
     """How the initial map is made, and the errors that it expects beside those of the trained method."""
     title = "The initial map in the making: choose the timeline `making`"
-    making = room_view(title, ["outline", f"{MAP_ENTITY.removeprefix('world/')}/**"], aim_eye(space, before=0.0))
+    making = room_view(
+        title, ["outline", f"{MAP_ENTITY.removeprefix('world/')}/**"], aim_eye(space, before=0.0, aspect=1.05)
+    )
     fields = [
-        room_view(name, ["floor_plan", "scale/**", f"error_field/{method}/{shown}"], aim_eye(space, reach=0.9))
+        room_view(name, ["floor_plan", "scale/**", f"error_field/{method}/{shown}"], aim_eye(space))
         for name, shown in (
             ("Error that the initial map expects of itself", "expected"),
             (f"Error field of {title_of(method)}", "worst/**"),

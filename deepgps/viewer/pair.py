@@ -22,8 +22,8 @@ from deepgps.reports.run_report import COLUMNS, read_metrics
 from deepgps.reports.table import tabulate
 from deepgps.runs.run_folder import open_run
 from deepgps.viewer.error_field import find_thinness, log_field
-from deepgps.viewer.layout import aim_eye, arrange, distribution_view, room_view, text_view
-from deepgps.viewer.pictures import log_distribution
+from deepgps.viewer.layout import aim_eye, arrange, room_view, text_view
+from deepgps.viewer.pictures import DISTRIBUTION, log_distribution
 from deepgps.viewer.run import hash_run
 from deepgps.viewer.scene import LAYER_M, SCALE_COLOURS, lift, log_room, log_scale, log_strip
 from deepgps.viewer.stream import holds, put_text, save_recording
@@ -226,7 +226,8 @@ def _make_blueprint(pair: Pair) -> rrb.Blueprint:
     tabs = {"Difference": _change_views(pair)} if pair.same_floor else {}
     tabs["Side by side"] = rrb.Tabs(*fields)
     beside = [rrb.Horizontal(tab, text, column_shares=[5, 2], name=name) for name, tab in tabs.items()]
-    return arrange([*beside, distribution_view()], rrb.TimePanel(state="hidden"))
+    errors = rrb.Spatial2DView(name="Distribution of errors", origin=DISTRIBUTION)
+    return arrange([*beside, errors], rrb.TimePanel(state="hidden"))
 
 
 def _change_views(pair: Pair) -> rrb.Container:

@@ -62,11 +62,6 @@ class Look(NamedTuple):
     weight: np.ndarray | None  # Weight of each pixel (R, S), 1 where it agrees; None: pixels are not compared
     near: np.ndarray | None  # Training images that it is compared with; None: they are not numbered
 
-    @property
-    def second(self) -> float:
-        """Probability of the second mode."""
-        return self.probability[1]
-
 
 @dataclass(frozen=True)
 class Place:
@@ -161,7 +156,7 @@ def choose_refused(refused: Sequence[Place]) -> list[Place]:
     if not looks:
         return []
     doubtful, chosen = np.array([one.is_ambiguous for one in refused]), []
-    second, unlike = (np.array([getattr(one, part) for one in looks]) for part in ("second", "unlike"))
+    second, unlike = np.array([one.probability[1] for one in looks]), np.array([one.unlike for one in looks])
     for score, some, count in ((unlike, ~doubtful, DIFFERENCES), (second, doubtful, DOUBTS)):
         ranked = np.flatnonzero(some)[np.argsort(-score[some], kind="stable")]
         chosen += _spread(truth, ranked, count).tolist()
@@ -198,7 +193,9 @@ def look_at(run: Path, method: str, places: Sequence[Place], recording: Recordin
 
 def log_places(stream: rr.RecordingStream, places: Sequence[Place], recording: Recording, truth: Truth) -> None:
     """Log of each place its arrow, modes and numbers, its image, and the training images at the answer and closest."""
-    fields = {place.method: place.field for place in reversed(places)}  # the worst places come first
+    fields: dict[str, ErrorField] = {}
+    for place in places:
+        fields.setdefault(place.method, place.field)  # on the test grid, as worst places come first
     tree, pose = KDTree(truth.pose[:, :2]), np.array([place.pose for place in places])
     predicted = np.array([place.field.predicted[place.at] for place in places])
     away, closest = tree.query(pose[:, :2])

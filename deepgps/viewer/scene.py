@@ -124,10 +124,11 @@ def open_room(scene: Path, space: FreeSpace) -> bytes:
         low, high = corners.min(axis=0), corners.max(axis=0)
         in_south_wall = high[1] < south and high[2] > 0.1
         on_south_wall = high[1] < south + 0.25 and low[2] > 0.05
-        if low[2] > roof or in_south_wall or on_south_wall:
-            hidden.append(name)
         middle = (low + high)[:2] / 2
-        if high[2] > 1.2 * roof and low[2] < 0.1 and (begin < middle).all() and (middle < end).all():
+        between_rooms = high[2] > 1.2 * roof and (begin < middle).all() and (middle < end).all()
+        if low[2] > roof or in_south_wall or on_south_wall or (between_rooms and low[2] > 0.1):  # lintels, too
+            hidden.append(name)
+        elif between_rooms:
             loaded.graph.update(node, matrix=np.diag([1.0, 1.0, WALL_SHARE, 1.0]) @ transform)
     loaded.delete_geometry(hidden)
     glb = loaded.export(file_type="glb")

@@ -167,19 +167,16 @@ def test_curves_run_along_the_slider_with_the_best_and_the_worst_seed(study):
             np.testing.assert_allclose(10.0 ** np.array(values), [np.mean(errors), min(errors), max(errors)])
 
 
-@pytest.mark.parametrize(
-    ("values", "timeline", "places"),
-    [
+def test_a_slider_has_its_values_on_its_timeline() -> None:
+    for values, timeline, places in (
         ([0.0, 0.02, 0.1], "noise [1/100]", [0, 2, 10]),
         ([16.0, 64.0, 4096.0], "noise", [16, 64, 4096]),
         ([-0.5, 0.0, 0.5], "noise [1/10]", [-5, 0, 5]),
         ([None, None], "noise", [1, 2]),
         ([1 / 3, 2 / 3], "noise", [1, 2]),
-    ],
-)
-def test_a_slider_has_its_values_on_its_timeline(values: list[float | None], timeline: str, places: list[int]) -> None:
-    slider = Slider("noise", [Step("", "", [], [], number) for number in values], "")
-    assert (slider.timeline, slider.places) == (timeline, places)
+    ):
+        slider = Slider("noise", [Step("", "", [], [], number) for number in values], "")
+        assert (slider.timeline, slider.places) == (timeline, places)
 
 
 def test_the_file_is_whole_and_small_without_wall_clock_and_every_view_shows_what_was_logged(study):
