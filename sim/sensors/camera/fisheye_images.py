@@ -204,7 +204,7 @@ def open_fisheye(settings: SimSettings, scene: Callable[[], mujoco.MjModel]) -> 
             mean = add_glare(mean, faults.glare, CIRCLE_PX / settings.camera.field_of_view_deg)
         image = encode(expose(mean) if settings.deployment.exposure == "auto" else mean)
         if faults.jpeg_kb:
-            image = cv2.imdecode(compress(image, faults.jpeg_kb), cv2.IMREAD_COLOR)[..., ::-1]
+            image = np.asarray(cv2.imdecode(compress(image, faults.jpeg_kb), cv2.IMREAD_COLOR))[..., ::-1]
         return draw_polar(image, points, *shape) if raw else image
 
     return Opened(sense, camera.renderer_string)

@@ -32,7 +32,7 @@ def test_a_jpeg_file_is_as_large_as_it_may_be_and_a_larger_one_is_closer_to_the_
     for jpeg_kb in (0.1, 8.0, 10.0, 20.0, 60.0, 1000.0):
         file = compress(picture, jpeg_kb)
         assert 0.85 * jpeg_kb < len(file) / 1000 <= jpeg_kb or jpeg_kb in (0.1, 1000.0)
-        errors.append(np.abs(cv2.imdecode(file, cv2.IMREAD_COLOR)[..., ::-1] - picture.astype(float)).mean())
+        errors.append(np.abs(np.asarray(cv2.imdecode(file, cv2.IMREAD_COLOR))[..., ::-1] - 1.0 * picture).mean())
     assert errors == sorted(errors, reverse=True) and errors[-1] < 1.5
 
 
