@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from io import StringIO
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize_scalar, nnls
@@ -92,11 +92,11 @@ def _take_off_lag(time: np.ndarray, run: WheelRun, assumed: Sequence[float]) -> 
 
 def reckon(run: WheelRun, drive: Sequence[float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Headings (N,) [rad], positions x + iy (N,) and distances driven, the mean of both wheels, (N,) [m], from 0."""
-    step = np.diff(run.angle, axis=0) * np.array(drive[:2])
-    turn, driven = (step[:, 1] - step[:, 0]) / drive[2], np.abs(step).mean(axis=1)
-    heading = np.concatenate([[0.0], np.cumsum(turn)])
-    chord = step.mean(axis=1) * np.sinc(turn / (2 * np.pi)) * np.exp(1j * (heading[:-1] + turn / 2.0))
-    return heading, *(np.concatenate([[0.0], np.cumsum(one)]) for one in (chord, driven))
+    step = np.diff(run.angle, axis=0, prepend=run.angle[:1]) * np.array(drive[:2])
+    turn = (step[:, 1] - step[:, 0]) / drive[2]
+    heading = np.cumsum(turn)
+    chord = step.mean(axis=1) * np.sinc(turn / (2 * np.pi)) * np.exp(1j * (heading - turn / 2.0))
+    return heading, np.cumsum(chord), np.cumsum(np.abs(step).mean(axis=1))
 
 
 class Model(NamedTuple):
@@ -142,7 +142,7 @@ def measure_wheels(runs: Sequence[WheelRun], groups: Sequence[str], assumed: Seq
     gap, drive, rows, rng = cut(runs, assumed, WINDOW_M), tuple(assumed), np.arange(len(runs)), stream(0, "wheels")
     for value, what in zip((len(runs), gap.length.sum(), np.abs(gap.heading).sum()), MINIMA, strict=True):
         if value < MINIMA[what]:
-            raise InputError(f"{value:.3g} {what} are too few to calibrate wheels, which need {MINIMA[what]:.3g}")
+            raise InputError(f"too few {what}: {value:.3g}, and wheels are calibrated by {MINIMA[what]:.3g} or more")
     for _ in range(3):  # the path that is compared depends on the constants
         drive = fit_drive(cut(runs, drive, WINDOW_M), drive)
     if not (np.abs(np.divide(drive, assumed) - 1.0) < MAX_ERROR).all():
@@ -150,7 +150,7 @@ def measure_wheels(runs: Sequence[WheelRun], groups: Sequence[str], assumed: Seq
             "left and right radius and track width would be {:.4g}, {:.4g} and {:.4g} m: are positions in m, "
             "yaw in rad, sides right, ticks counted so far or since the row before as the columns say?".format(*drive)
         )
-    gaps = {length: cut(runs, drive, length) for length in LENGTHS_M}
+    gaps: dict[float, Any] = {length: cut(runs, drive, length) for length in LENGTHS_M}
     of_run = {key: [np.flatnonzero(gap.run == row) for row in rows] for key, gap in gaps.items()}
 
     def estimate(chosen: np.ndarray) -> Model:
@@ -162,7 +162,7 @@ def measure_wheels(runs: Sequence[WheelRun], groups: Sequence[str], assumed: Seq
         raise InputError(f"too few gaps tell their noise: {MIN_GAPS} straight ones of three lengths are needed")
     parts = [rows[np.array([one == name for one in groups])] for name in names] if len(names) > 1 else rows[:, None]
     draws = ([parts[one] for one in rng.integers(len(parts), size=len(parts))] for _ in range(RESAMPLES))
-    std = np.nanstd([estimate(np.concatenate(draw)) for draw in draws], axis=0, ddof=1)
+    std = np.nanstd(np.array([estimate(np.concatenate(draw)) for draw in draws]), axis=0, ddof=1)
     factor = student.ppf(0.975, len(parts) - 1)
     for name, value, off in zip(Model._fields, model, std, strict=True):
         intervals[name] = Estimate(value, max(value - factor * off, 0.0), value + factor * off, off)
@@ -187,7 +187,7 @@ def cut(runs: Sequence[WheelRun], drive: Sequence[float], length_m: float) -> np
         frame = np.exp(-1j * (total[last + 1] - total[first]) / (last + 1 - first))  # a mean, as the tracker is noisy
         along = (*run.angle.T, run.yaw, heading, driven, place, np.exp(1j * heading), run.place)
         *columns, true = (one[last] - one[first] for one in along)
-        names = "run,left,right,yaw,heading,length,reckoned,lever,true"
+        names: Any = "run,left,right,yaw,heading,length,reckoned,lever,true"
         parts.append(np.rec.fromarrays([np.full(len(first), number), *columns, true * frame], names=names))
     return np.concatenate(parts).view(np.recarray)
 

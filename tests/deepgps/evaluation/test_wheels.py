@@ -60,7 +60,7 @@ def test_the_settings_that_runs_were_made_with_are_found_within_their_intervals(
     for name, value in {"left_m": left, "right_m": right, "track_m": TRACK_M, **noise}.items():
         found = measured.intervals[name]
         assert abs(found.value - value) < CERTAINTY_HALF_WIDTHS * (found.high - found.value), name
-        assert found.std < (0.005 if name in measured.model._fields[:3] else 0.25) * value or name == "tracker_m", name
+        assert name == "tracker_m" or found.high < (1.01 if value in (left, right, TRACK_M) else 1.7) * value, name
     settings = measured.model.make_settings(ASSUMED, TICKS)
     for name, value in {**FAULTS.model_dump(exclude_defaults=True), "track_error": 0.01}.items():
         assert getattr(settings, name) == pytest.approx(value, abs=0.005), name
@@ -86,7 +86,8 @@ def write(path: Path, seed: int = 0, lag_s: float = 0.0, head: str = "") -> Path
     place = np.interp(time + lag_s, time, run.place.real), np.interp(time + lag_s, time, run.place.imag)
     yaw = (np.interp(time + lag_s, time, run.yaw) + np.pi) % (2 * np.pi) - np.pi
     steps = np.diff(ticks, axis=0, prepend=ticks[:1]) if "ticks" not in head else ticks + 1_000_000
-    columns = dict(zip(ORDER.split(","), (time, *place, yaw, steps[:, 1], steps[:, 0]), strict=True))
+    known = (time, *place, yaw, steps[:, 1], steps[:, 0])
+    columns: dict[str, np.ndarray] = dict(zip(ORDER.split(","), known, strict=True))
     columns |= {"left_ticks": steps[:, 0], "right_ticks": steps[:, 1], "light": time * 0.0}
     rows = zip(*(columns[name].tolist() for name in (head or ORDER).split(",")), strict=True)
     lines = [*([head] if head else []), *(",".join(map(repr, row)) for row in rows), ""]
@@ -129,10 +130,9 @@ def test_a_wrong_table_is_one_line(tmp_path: Path, line: int, text: str, message
 
 
 def test_too_little_and_exchanged_wheels_are_refused(runs: list[WheelRun]):
-    short = [WheelRun(*(part[:50] for part in run)) for run in runs]
     for wrong, message in (
-        (runs[:2], "2 runs are too few"),
-        (short, "m are too few"),
+        (runs[:2], "too few runs: 2"),
+        ([WheelRun(*(part[:50] for part in run)) for run in runs], "too few m: "),
         ([run._replace(angle=run.angle[:, ::-1]) for run in runs], "sides right"),
         ([run._replace(place=1000 * run.place) for run in runs], "positions in m"),
     ):
