@@ -52,7 +52,10 @@ def _read(block: str) -> Table:
 def _drop_rows(table: Table) -> Table:
     """The means of a long table, or what there is."""
     means = [row for row in table[1:] if row[0].split()[0] in {"mean", "worst", "paper"}]
-    return table if len(table) <= ROWS + 1 or not means else [table[0], *means]
+    if len(table) <= ROWS + 1 or not means:
+        return table
+    kept = [index for index in range(len(table[0])) if any(row[index] for row in means)]
+    return [[row[index] for index in kept] for row in [table[0], *means]]
 
 
 def _drop_columns(table: Table) -> Table:
@@ -62,9 +65,9 @@ def _drop_columns(table: Table) -> Table:
 
 
 def _drop_sentences(note: str, headings: set[str]) -> str:
-    """A note without what it says of columns that are gone, and without sign tests but against PoseNet."""
+    """A note without what it says of columns that are gone, and without sign tests but against baselines."""
     if re.match(r"Of \d+ rooms", note):
-        return note if "than PoseNet in" in note else ""
+        return note if "than PoseNet in" in note or "than Nearest neighbour in" in note else ""
     kept, keep = [], True
     for sentence in re.split(r"(?<=[.;]) ", note):
         if label := re.match(r"([\w ]{3,30}):", sentence):  # what follows a label belongs to it
