@@ -70,5 +70,5 @@ def log_deployment(stream: rr.RecordingStream, method: str, ways: Mapping[str, W
     if drive.kind == "polar_image":
         images, time = drive.observation, np.asarray(drive.observation_time)
         step = -(-len(images) // MAX_IMAGES)
-        warp = make_warp(camera_of(drive), *images.shape[1:3], ROUND_PX)
+        warp = make_warp(camera_of(drive), images.shape[1], images.shape[2], ROUND_PX)
         log_polar(stream, map(np.asarray, images[::step]), warp, clock(time[::step]), DEPLOYMENT)

@@ -124,8 +124,8 @@ def find_places(run: Path, fields: Mapping[str, ErrorField], recording: Recordin
         row, order = np.asarray(find_worst(field).row), np.argsort(-field.worst, kind="stable")
         chosen = row[_spread(field.truth, order, OTHERS if places else PLACES)].tolist()
         some = [
-            Place(method, field, *at, recording.test_observation[tuple(at)], f"Worst place {rank} of {len(chosen)}")
-            for rank, at in enumerate(chosen, 1)
+            Place(method, field, i, j, recording.test_observation[i, j], f"Worst place {rank} of {len(chosen)}")
+            for rank, (i, j) in enumerate(chosen, 1)
         ]
         if method == judge:
             shown = {place.at for place in some}

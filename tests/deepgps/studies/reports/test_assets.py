@@ -58,7 +58,7 @@ def test_the_study_of_reality_puts_faults_in_deployment_alone_beside_those_in_tr
     pairs = {fault for fault, places in groups if places == [*changes.CHANGE_TIMES.values()][::-1]}
     assert len(groups) == len({fault for fault, _ in groups}) == 21
     assert len(pairs) == 12 and {"daylight x 0.3", "JPEG of 10 kB", "a person in view", "wobbling by 1°"} < pairs
-    assert len({keep_training_settings(drive.sim) for drive in find_drives(plans).values()}) == 11
+    assert len({keep_training_settings(drive.sim).model_dump_json() for drive in find_drives(plans).values()}) == 11
 
 
 def test_the_camera_study_draws_nothing_again_for_faults_of_finished_images() -> None:
@@ -94,6 +94,6 @@ def test_the_encoder_study_asks_of_every_fault_with_five_seeds_and_shares_five_d
 def test_networks_are_trained_where_they_are_asked_for() -> None:
     few, all_ = (load_study("encoder", tiny=True, networks=networks) for networks in (False, True))
     assert few.methods == ("registration", "registration_distances")
-    assert all_.methods == (*few.methods, "deepgps_compass", "deepgps", "dead_reckoned_labels", "posenet")
+    assert all_.methods == (*(few.methods or ()), "deepgps_compass", "deepgps", "dead_reckoned_labels", "posenet")
     with pytest.raises(InputError, match="study knowing has no further methods: --networks"):
         load_study("knowing", tiny=True, networks=True)
