@@ -22,7 +22,7 @@ from sim.errors import InputError
 from sim.recording.format import Recording
 from sim.rng import stream
 
-MIN_PART_SHARE = 0.001  # Least share of the readings in a part that is left out, since it could be mirrored
+MIN_LEFT_OUT_SHARE = 0.001  # Least share of the readings in a part that is left out, since it could be mirrored
 
 
 def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
@@ -42,7 +42,7 @@ def fit_distances(recording: Recording, settings: LearnSettings, seed: int, fold
     places = make_initial_map(data.features, data.segments, kind, seed, 0)[0].numpy()
     undecided = np.zeros(len(places), bool)
     if kind == "paths":
-        undecided = find_ambiguous(places, data.features, data.segments, MIN_PART_SHARE)
+        undecided = find_ambiguous(places, data.features, data.segments, MIN_LEFT_OUT_SHARE)
         if not undecided.all():
             places[undecided] = np.nan
         places = refine_distances(recording, data, places, stream(seed, "map by distances, registered"))

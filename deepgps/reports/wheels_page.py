@@ -99,7 +99,7 @@ def print_diagnosis(diagnosis: Diagnosis, console: Console) -> None:
 
 
 def print_wheels(wheels: Wheels, assumed: Sequence[float], settings: EncoderSettings, console: Console) -> None:
-    """Print constants and noise by a tracker, the errors of gaps, how well runs left out are told, and the settings."""
+    """Print constants and noise by a tracker, errors of gaps and of ends of runs left out, and the settings."""
     rows = [[one.title, *_tell(wheels.intervals[name], one)] for name, one in REAL_QUANTITIES.items()]
     print_table(console, HEADINGS[:3], rows)
     left, right, track = (one / true for one, true in zip(assumed, wheels.model, strict=False))
@@ -109,12 +109,12 @@ def print_wheels(wheels: Wheels, assumed: Sequence[float], settings: EncoderSett
         error, model = list_errors(gaps)["along"][0], wheels.model.expect_spread(length)
         spread = measure_spread(error)
         beyond = (np.abs(error - np.median(error)) > 3.0 * spread).mean()
-        told = f"{1000 * spread:.2f} mm, by the model and the tracker's {1000 * model:.2f}"
-        lines.append(f"Gaps of {100 * length:g} cm: error {told}; beyond three deviations {beyond:.1%} (normal: 0.3 %)")
+        both = f"{1000 * spread:.2f} mm, by the model and the tracker's {1000 * model:.2f}"
+        lines.append(f"Gaps of {100 * length:g} cm: error {both}; beyond three deviations {beyond:.1%} (normal: 0.3 %)")
     if wheels.ends_m:
         before, after = np.transpose(list(wheels.ends_m.values()))
-        told = f"{(after / before).mean():.2f} times as far off as assumed ({len(before)} parts, each its median)"
-        lines += ["", f"Ends of runs left out in turn are {told}."]
+        ratio = f"{(after / before).mean():.2f} times as far off as assumed ({len(before)} parts, each its median)"
+        lines += ["", f"Ends of runs left out in turn are {ratio}."]
     written = [f"  {name}: {value:.4g}" for name, value in settings.model_dump(exclude_defaults=True).items()]
     say(console, *lines, "", "In the simulator:", "encoder:", *written)
 

@@ -49,7 +49,6 @@ from sim.files.checksums import is_intact
 from sim.geometry import FreeSpace, limits
 from sim.recording.format import Recording, has_truth, is_whole, open_recording, open_truth
 
-RECORDING = VIEWED
 READING_HINT = (
     "Point at an arrow or a dot: error (± radius of 68 %), heading → predicted x, y [m], and its place on the timeline "
     "`place`, where its image is, if it is shown in *Places*."
@@ -76,7 +75,7 @@ def write_run(run: Path) -> Path:
     Raises InputError if the folder is not a complete run. Equal runs give equal contents: the recording's id is a hash
     of the run, and no wall-clock time is written.
     """
-    path = run / RECORDING
+    path = run / VIEWED
     if lacks_truth(run):
         return _write_without_truth(run, path)
     metrics, fields, histories = read_metrics(run), read_all_headings(run), read_histories(run)
@@ -124,7 +123,7 @@ def find_recording(run: Path) -> Path:
     """Return a run's recording, written if it is missing or damaged; raise InputError if it cannot be read."""
     if not lacks_truth(run):
         read_metrics(run)
-    path = run / RECORDING
+    path = run / VIEWED
     if not is_intact(path):
         return write_run(run)
     open_rrd(path)

@@ -76,7 +76,7 @@ def relax(places: np.ndarray, segments: Segments, closures: LoopClosures) -> tup
         middle += move[:, :2]
         heading += move[:, 2].clip(-MAX_TURN, MAX_TURN)
     point = middle[graph.bar] + point_along(heading, graph, graph.along)
-    squared = ((point[graph.a] - point[graph.b]) ** 2).sum(axis=1)
+    squared = ((graph.mix @ point - graph.offset) ** 2).sum(axis=1)
     robust = np.where(graph.firm, squared, squared / (1.0 + squared / (LAST_ROBUST_SCALE * graph.step) ** 2))
     found = np.array(places, float)
     found[graph.observation] = point

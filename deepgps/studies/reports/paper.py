@@ -18,12 +18,8 @@ from deepgps.studies.reports.record import (
 from deepgps.studies.reports.render import add_base
 from deepgps.studies.table import LEVELS, Row, split_by, split_by_label
 
-OUR_METHODS = (
-    "registration",
-    "registration_distances",
-    "deepgps_compass",
-    "deepgps",
-)  # Methods whose wins are counted, each over those that are not before it
+OUR_METHODS = ("registration", "registration_distances", "deepgps_compass", "deepgps")
+"""Methods whose wins are counted, each over those that are not before it."""
 ROOMS_NOTE = (
     f"{GRID}Seen: share of positions within 0.25 m of a training image. Flipped: share of neighbourhoods that the map "
     "flips. Base: PoseNet."

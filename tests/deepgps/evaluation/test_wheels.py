@@ -1,4 +1,4 @@
-"""Real wheels: what runs were made with is found again, whatever the frame, and the tracker's noise is told apart."""
+"""Real wheels: what runs were made with is found again, whatever the frame, and the tracker's noise is separated."""
 
 import os
 from pathlib import Path

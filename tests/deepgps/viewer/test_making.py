@@ -8,9 +8,10 @@ import pytest
 import rerun as rr
 
 from deepgps.initial_map.stored_map import FILE, StoredMap
+from deepgps.runs.run_folder import VIEWED
 from deepgps.viewer.making import MAP_ENTITY, MAX_ELLIPSES, MIN_HALF_AXIS_M, SIGMAS, enlarge
 from deepgps.viewer.read import read_entity
-from deepgps.viewer.run import RECORDING, write_run
+from deepgps.viewer.run import write_run
 from deepgps.viewer.stream import MAP_STAGE as TIMELINE
 from sim.files.checksums import read_arrays, write_arrays
 from tests.helpers.blueprints import find_missing, read_layout
@@ -58,7 +59,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def read_stages(run: Path, name: str) -> list[list]:
-    rows = read_entity(run / RECORDING, f"{MAP_ENTITY}/{name}")
+    rows = read_entity(run / VIEWED, f"{MAP_ENTITY}/{name}")
     rows = rows.filter(pc.field(TIMELINE).is_valid()).sort_by(TIMELINE)
     return [one for one in rows["LineStrips3D:strips"].to_pylist() if one is not None]
 
@@ -78,17 +79,17 @@ def test_the_last_stage_is_where_the_robot_was_and_the_first_is_not(run: Path):
 
 
 def test_a_turn_has_its_angle_to_point_at(run: Path):
-    rows = read_entity(run / RECORDING, f"{MAP_ENTITY}/turns")
+    rows = read_entity(run / VIEWED, f"{MAP_ENTITY}/turns")
     said = [text for texts in rows["turned"].to_pylist() if texts for text in texts]
     assert said and all("°" in text and "± 0.57°" in text for text in said)
 
 
 def test_every_view_of_the_tab_shows_what_was_logged_and_expectations_are_hidden_elsewhere(run: Path):
-    assert find_missing(run / RECORDING) == []
-    layout = read_layout(run / RECORDING, "ViewBlueprint:space_origin")
+    assert find_missing(run / VIEWED) == []
+    layout = read_layout(run / VIEWED, "ViewBlueprint:space_origin")
     origins = [origin.strip("/") for _, found in layout for origin in found]
     assert "making" in origins
-    hidden = [entity for entity, seen in read_layout(run / RECORDING, "EntityBehavior:visible") if not all(seen)]
+    hidden = [entity for entity, seen in read_layout(run / VIEWED, "EntityBehavior:visible") if not all(seen)]
     assert any("error_field/deepgps/expected" in entity for entity in hidden)
 
 

@@ -16,6 +16,7 @@ from scipy.spatial.distance import pdist
 
 from deepgps.config.methods import title_of
 from deepgps.evaluation.error_field import find_worst, read_all_headings, split_by_acceptance
+from deepgps.runs.run_folder import VIEWED
 from deepgps.viewer import drive
 from deepgps.viewer import run as recording
 from deepgps.viewer.drive import ROBOT
@@ -23,7 +24,7 @@ from deepgps.viewer.error_field import COVERAGE, DENSITY, ELLIPSE_SCALE, ELLIPSE
 from deepgps.viewer.pictures import choose_views, write_pictures
 from deepgps.viewer.places import PICTURES, Place, find_places, turn_picture
 from deepgps.viewer.read import read_entity, read_error_field, read_error_table
-from deepgps.viewer.run import RECORDING, find_recording, write_run
+from deepgps.viewer.run import find_recording, write_run
 from deepgps.viewer.show import view
 from deepgps.viewer.stream import DRIVE_TIME, PLACE, PROGRESS, PROGRESS_END_S, STEP
 from sim.errors import InputError, WorkError
@@ -73,7 +74,7 @@ def changed(run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def read_along(run: Path, entity: str, timeline: str) -> pa.Table:
     """The rows of an entity in the order of a timeline."""
-    rows = read_entity(run / RECORDING, entity)
+    rows = read_entity(run / VIEWED, entity)
     return rows.filter(pc.field(timeline).is_valid()).sort_by(timeline)
 
 
@@ -87,12 +88,12 @@ def read_flat(path: Path, entity: str, component: str) -> np.ndarray | list:
 
 
 def test_error_fields_read_back_as_they_were_measured_alone_and_in_the_table(run: Path) -> None:
-    table = read_error_table(run / RECORDING)
+    table = read_error_table(run / VIEWED)
     assert table.column_names == ["x_m", "y_m", "predicted_x_m", "predicted_y_m", "error_m", "heading_deg", "method"]
     measured = {name: find_worst(field) for name, field in read_all_headings(run).items()}
     assert table.num_rows == sum(len(field.error) for field in measured.values()) and list(measured) == list(METHODS)
     for method, worst in measured.items():
-        field = read_error_field(run / RECORDING, method)
+        field = read_error_field(run / VIEWED, method)
         rows = table.filter(pc.field("method") == method)
         of_table = (np.column_stack([rows[f"{of}{axis}_m"] for axis in "xy"]) for of in ("", "predicted_"))
         for shown in ((field.truth, field.predicted, field.error), (*of_table, rows["error_m"])):
@@ -108,13 +109,13 @@ def test_what_is_not_there_is_one_line_with_what_is(run: Path) -> None:
         (read_error_field, "gps", r"'gps'.* has dead_reckoned_labels, deepgps, knn, posenet"),
     ):
         with pytest.raises(InputError, match=message):
-            read(run / RECORDING, wrong)
+            read(run / VIEWED, wrong)
 
 
 def test_the_example_of_reading_back_works(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     page = (Path(__file__).parents[3] / "docs" / "how-to" / "viewer.md").read_text(encoding="utf-8")
     (example,) = [block for block in re.findall(r"```python\n(.*?)```", page, re.S) if "read_error_table" in block]
-    code, found = re.subn(r'"runs/[^"]*run\.rrd"', repr(str(run / RECORDING)), example)
+    code, found = re.subn(r'"runs/[^"]*run\.rrd"', repr(str(run / VIEWED)), example)
     assert found
     exec(code, {})
     assert capsys.readouterr().out
@@ -146,7 +147,7 @@ def test_only_snapshots_of_deepgps_are_turned_over(run: Path) -> None:
 
 
 def test_drive_and_training_are_there_row_by_row(run: Path) -> None:
-    counts, readings = count_rows(run / RECORDING), len(np.load(run / "recording" / "reading.npy"))
+    counts, readings = count_rows(run / VIEWED), len(np.load(run / "recording" / "reading.npy"))
     expected = dict.fromkeys(["/drive/fisheye", "/drive/polar", f"/{ROBOT}"], SAMPLES)
     for path in (
         *("drive/distance/encoder", "drive/distance/truth", "drive/difference", "drive/segment_error"),
@@ -194,7 +195,7 @@ def test_every_arrow_and_dot_says_its_error_in_the_tooltip(run: Path) -> None:
                 )
             ]
             for shape, position in (("arrows", "LineStrips3D:strips"), ("places", "Points3D:positions")):
-                rows = read_entity(run / RECORDING, f"world/error_field/{method}/worst/{part}/{shape}")
+                rows = read_entity(run / VIEWED, f"world/error_field/{method}/worst/{part}/{shape}")
                 values = {name: rows[name].combine_chunks().flatten() for name in rows.column_names}
                 assert values["error"].to_pylist() == expected and len(values[position]) == len(expected)
                 assert values["method"].to_pylist() == [title_of(method)]
@@ -204,17 +205,17 @@ def test_every_arrow_and_dot_says_its_error_in_the_tooltip(run: Path) -> None:
 def test_each_heading_can_be_switched_on(run: Path) -> None:
     with np.load(run / "error_field.npz") as arrays:
         truth, heading, predicted = arrays["truth"], arrays["heading"], arrays["deepgps"]
-    hidden = [entity for entity, seen in read_layout(run / RECORDING, "EntityBehavior:visible") if not all(seen)]
+    hidden = [entity for entity, seen in read_layout(run / VIEWED, "EntityBehavior:visible") if not all(seen)]
     for number, one in enumerate(heading):
         path = f"world/error_field/deepgps/heading/{round(np.degrees(one)) % 360:03d}_deg"
-        strips = np.array(read_flat(run / RECORDING, f"{path}/arrows", "LineStrips3D:strips"))
+        strips = np.array(read_flat(run / VIEWED, f"{path}/arrows", "LineStrips3D:strips"))
         np.testing.assert_allclose(strips[:, 0, :2], truth, atol=1e-6)
         np.testing.assert_allclose(strips[:, 1, :2], predicted[:, number], atol=1e-6)
         assert any(entity.endswith(f"{path}/visualizers") for entity in hidden)
 
 
 def test_density_counts_every_image_and_lies_with_coverage_between_floor_plan_and_arrows(run: Path) -> None:
-    path = run / RECORDING
+    path = run / VIEWED
     assert sum(read_flat(path, DENSITY, "images")) == SAMPLES
     floor = read_entity(path, "world/floor_plan")["GridMap:translation"].to_pylist()[0][0][2]
     arrows = read_flat(path, "world/error_field/deepgps/heading/000_deg/arrows", "LineStrips3D:strips")
@@ -236,7 +237,7 @@ def test_both_timelines_of_places_end_with_the_worst_of_the_first_method(run: Pa
             if place.why.startswith("Worst place 1 "):
                 assert error == pytest.approx(100 * place.field.error.max())
     assert read_along(run, "place/text", PLACE)[PLACE].to_pylist() == list(range(1, len(places) + 1))
-    counts = count_rows(run / RECORDING)
+    counts = count_rows(run / VIEWED)
     for name in PICTURES:
         for kind in ("round", "polar"):
             assert counts[f"/place/{name}/{kind}"] == counts["/world/place/error"] == len(places)
@@ -272,17 +273,17 @@ def test_radii_are_circles_around_the_predictions_of_what_is_accepted(run: Path)
     for method, field in read_all_headings(run).items():
         if method not in REFUSING:
             with pytest.raises(InputError, match="no entity"):
-                read_entity(run / RECORDING, f"world/error_field/{method}/radius")
+                read_entity(run / VIEWED, f"world/error_field/{method}/radius")
             continue
         accepted, _ = split_by_acceptance(field)
         path, strips = f"world/error_field/{method}", "LineStrips3D:strips"
-        circles = np.array(read_flat(run / RECORDING, f"{path}/radius", strips))[..., :2]
+        circles = np.array(read_flat(run / VIEWED, f"{path}/radius", strips))[..., :2]
         away = np.linalg.norm(circles - accepted.predicted[:, None], axis=-1)
         assert accepted.radius is not None
         np.testing.assert_allclose(away, np.broadcast_to(accepted.radius[:, None], away.shape), atol=1e-5)
-        said = read_flat(run / RECORDING, f"{path}/radius", "radius")
+        said = read_flat(run / VIEWED, f"{path}/radius", "radius")
         assert said[0] == f"68 % within {100 * accepted.radius[0]:.1f} cm, off by {100 * accepted.error[0]:.1f} cm"
-        ellipses = np.array(read_flat(run / RECORDING, f"{path}/{ELLIPSES}", strips))[..., :2]
+        ellipses = np.array(read_flat(run / VIEWED, f"{path}/{ELLIPSES}", strips))[..., :2]
         apart, near = KDTree(accepted.predicted).query((ellipses.min(axis=1) + ellipses.max(axis=1)) / 2.0)
         half = np.ptp(ellipses, axis=1) / 2.0 / ELLIPSE_SCALE  # axes are x and y, twice as long along x
         assert len(half) > 0.9 * (accepted.radius < MAX_RADIUS_M / 2).sum() > 0.0 and apart.max() < 1e-5
@@ -290,7 +291,7 @@ def test_radii_are_circles_around_the_predictions_of_what_is_accepted(run: Path)
         np.testing.assert_allclose(np.sqrt((half**2).mean(axis=1)), 2.0 * accepted.radius[near], rtol=1e-3)
         largest = 100 * np.where(field.is_accepted, np.asarray(field.radius), 0).max(axis=1)
         expected = [f"68 % within {one:.1f} cm" if one else "refused at all headings" for one in largest]
-        assert read_flat(run / RECORDING, f"{path}/{SIGMA}", "radius") == expected and 0 in largest
+        assert read_flat(run / VIEWED, f"{path}/{SIGMA}", "radius") == expected and 0 in largest
 
 
 def test_a_worst_place_shows_its_radii_and_says_whether_it_was_refused(run: Path) -> None:
@@ -309,7 +310,7 @@ def test_a_worst_place_shows_its_radii_and_says_whether_it_was_refused(run: Path
 
 
 def test_the_recording_is_whole_without_wall_clock(run: Path) -> None:
-    path = run / RECORDING
+    path = run / VIEWED
     call_rerun("verify", path)
     names = {name for chunk in RrdReader(path).stream() for name in chunk.timeline_names}
     assert names == {DRIVE_TIME, STEP, PLACE, PROGRESS}
@@ -317,15 +318,15 @@ def test_the_recording_is_whole_without_wall_clock(run: Path) -> None:
 
 
 def test_a_long_drive_has_fewer_pictures_and_large_ones_where_they_were_drawn(changed: Path) -> None:
-    counts = count_rows(changed / RECORDING)
+    counts = count_rows(changed / VIEWED)
     assert counts["/drive/fisheye"] == counts["/drive/polar"] == 20  # every third of 60
     assert counts[f"/{ROBOT}"] == SAMPLES
     assert counts["/drive/large"] == len(choose_views(changed)[0])
-    assert find_missing(changed / RECORDING) == []
+    assert find_missing(changed / VIEWED) == []
 
 
 def test_the_robot_is_as_large_as_it_is_and_not_as_odometry_has_it(run: Path, changed: Path) -> None:
-    radii = [read_flat(folder / RECORDING, f"{ROBOT}/body", "Cylinders3D:radii") for folder in (run, changed)]
+    radii = [read_flat(folder / VIEWED, f"{ROBOT}/body", "Cylinders3D:radii") for folder in (run, changed)]
     np.testing.assert_allclose(*radii)  # pyright: ignore
 
 
@@ -333,7 +334,7 @@ def test_the_last_minutes_are_as_long_on_the_timeline_of_all(changed: Path) -> N
     drive_s = np.ptp(np.load(changed / "recording" / "time.npy"))
     assert drive_s > 3600
     starts = set()
-    for _, ranges in read_layout(changed / RECORDING, "VisibleTimeRanges:ranges"):
+    for _, ranges in read_layout(changed / VIEWED, "VisibleTimeRanges:ranges"):
         begins = {one["timeline"]: one["range"]["start"] for one in ranges}
         if begins[DRIVE_TIME] is not None:
             starts.add(begins[DRIVE_TIME] / 1e9)
@@ -344,25 +345,25 @@ def test_the_last_minutes_are_as_long_on_the_timeline_of_all(changed: Path) -> N
 def test_a_missing_or_damaged_recording_is_made_again_the_same(
     run: Path, copied: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = copied / RECORDING
+    path = copied / VIEWED
     content = path.read_bytes()
     path.write_bytes(content[:-7] + b"x" + content[-6:])
     assert find_recording(copied) == path
     assert f"{path} is damaged" in caplog.text
-    assert len({RrdReader(one).recordings()[0].recording_id for one in (run / RECORDING, path)}) == 1
-    call_rerun("compare", "--unordered", run / RECORDING, path)
+    assert len({RrdReader(one).recordings()[0].recording_id for one in (run / VIEWED, path)}) == 1
+    call_rerun("compare", "--unordered", run / VIEWED, path)
     path.unlink()
     monkeypatch.setattr(recording, "write_run", lambda folder: ("written", folder))
     assert find_recording(copied) == ("written", copied)
 
 
 def test_a_folder_that_is_no_run_or_half_a_run_is_refused_and_left_alone(copied: Path, tmp_path: Path) -> None:
-    (copied / RECORDING).unlink()
+    (copied / VIEWED).unlink()
     (copied / "recording" / "scene.glb").write_bytes(b"half")
     for folder, message in ((tmp_path, r"metrics\.json"), (copied, r"scene.glb is damaged")):
         with pytest.raises(InputError, match=message):
             view([folder])
-    assert not (copied / RECORDING).exists()
+    assert not (copied / VIEWED).exists()
 
 
 def test_no_display_and_no_viewer_are_one_clear_line_each(

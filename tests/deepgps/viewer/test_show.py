@@ -16,9 +16,10 @@ from PIL import Image
 
 from deepgps.evaluation.error_field import read_all_headings, split_by_acceptance
 from deepgps.reports.plots import COLOURS, colours_of
+from deepgps.runs.run_folder import VIEWED
 from deepgps.viewer import connect
 from deepgps.viewer.connect import HOST, open_viewer, start_viewer, wait_for_port
-from deepgps.viewer.run import RECORDING, write_run
+from deepgps.viewer.run import write_run
 from deepgps.viewer.show import choose_ports, serve, shows_scale
 from sim.errors import InputError, WorkError
 from tests.helpers.command import deepgps_here, read_line, started
@@ -109,9 +110,9 @@ def test_a_viewer_that_fails_is_one_line_with_its_reason_and_a_cure(
 
 def test_what_is_not_possible_is_one_clear_line(run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_run(run)
-    cut = Path(shutil.copytree(run, tmp_path / "cut")) / RECORDING
+    cut = Path(shutil.copytree(run, tmp_path / "cut")) / VIEWED
     cut.write_bytes(cut.read_bytes()[:-1000])
-    cut.with_name(f"{RECORDING}.sha256").unlink()  # as a version before checksums left it
+    cut.with_name(f"{VIEWED}.sha256").unlink()  # as a version before checksums left it
     mine, nothing = tmp_path / "mine.png", tmp_path / "nothing"
     nothing.mkdir()
     mine.write_bytes(b"\x89PNG mine")

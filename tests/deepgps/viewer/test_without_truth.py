@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from deepgps.viewer.run import RECORDING, find_recording
+from deepgps.runs.run_folder import VIEWED
+from deepgps.viewer.run import find_recording
 from sim.recording.format import check_recording, finish_recording, open_recording, read_manifest
 from tests.helpers.blueprints import count_rows
 from tests.helpers.command import deepgps_here
@@ -32,8 +33,8 @@ def test_the_drive_and_the_maps_are_viewed(tmp_path: Path):
     for name in ("metrics.json", "error_field.npz"):
         (run / name).unlink()
     forget_truth(run / "recording")
-    assert find_recording(run) == run / RECORDING
-    counts = count_rows(run / RECORDING)
+    assert find_recording(run) == run / VIEWED
+    counts = count_rows(run / VIEWED)
     readings = len(open_recording(run / "recording").reading)
     assert counts["/world/reckoned/leg"] == counts["/drive/distance/encoder"] == readings > counts["/drive/ticks/left"]
     assert counts["/drive/fisheye"] > 1

@@ -9,9 +9,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from deepgps.runs.run_folder import VIEWED
 from deepgps.viewer.drive import ROBOT
 from deepgps.viewer.read import open_rrd
-from deepgps.viewer.run import RECORDING
 from sim.recording.collect import collect
 from sim.recording.format import check_recording, open_recording, open_truth
 from sim.robot.chassis import compile_scene
@@ -117,7 +117,7 @@ def test_a_room_is_run_with_a_lidar_and_without_a_renderer(tmp_path: Path) -> No
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "PCA + nearest" in done.stdout
-    paths = {chunk.entity_path for chunk in open_rrd(tmp_path / "one" / RECORDING).stream()}
+    paths = {chunk.entity_path for chunk in open_rrd(tmp_path / "one" / VIEWED).stream()}
     assert f"/{ROBOT}/scan" in paths
     assert "/world/room" in paths
     assert "/drive/polar" not in paths

@@ -8,6 +8,7 @@ from safetensors.numpy import load_file
 
 from deepgps.config.scenario import load_scenario
 from deepgps.run import run
+from deepgps.runs.run_folder import VIEWED
 from deepgps.studies.plan import plan_runs
 from deepgps.studies.reports.from_runs import add_labels, add_scans
 from deepgps.studies.reports.pictures import draw_fields
@@ -15,7 +16,6 @@ from deepgps.studies.reports.record import Fields
 from deepgps.studies.study import load_study
 from deepgps.terminal.progress import ignore
 from deepgps.viewer.read import open_rrd, read_error_field
-from deepgps.viewer.run import RECORDING
 from sim.errors import InputError
 from sim.files.checksums import read_json
 
@@ -52,7 +52,7 @@ def test_every_method_of_landmarks_runs_to_the_viewer(tmp_path: Path):
     folder = make_small("landmarks", methods, tmp_path / "run", *LANDMARKS, *EXPLICIT)
     with np.load(folder / "error_field.npz") as field:
         for method in methods:
-            shown = read_error_field(folder / RECORDING, method)
+            shown = read_error_field(folder / VIEWED, method)
             assert np.allclose(shown.predicted, field[method][:, 0], atol=1e-5)
         assert np.abs(field["explicit_mds"][:, 0] - field["truth"]).max() < 1e-3
     assert (folder / "figures" / "error_fields.png").is_file()
@@ -65,14 +65,14 @@ def test_every_method_of_lidar_runs_to_the_viewer_and_its_columns_add_up(tmp_pat
     with np.load(folder / "error_field.npz") as field:
         for method in methods:
             error = np.linalg.norm(field[method] - field["truth"][:, None], axis=-1)
-            shown = read_error_field(folder / RECORDING, method)
+            shown = read_error_field(folder / VIEWED, method)
             assert np.allclose(shown.error, error.max(axis=1), atol=1e-5)
             own = add_scans(folder, {"method": method})
             assert own["each_rms_m"] == pytest.approx(np.sqrt((error**2).mean()))
             stored = [tensor.size for tensor in load_file(folder / method / "weights.safetensors").values()]
             assert own["stored"] == sum(stored)
             assert own["each_max_m"] == read_json(folder / "metrics.json")["methods"][method]["max_m"]
-    assert any(chunk.entity_path.endswith("/scan") for chunk in open_rrd(folder / RECORDING).stream())
+    assert any(chunk.entity_path.endswith("/scan") for chunk in open_rrd(folder / VIEWED).stream())
 
 
 @pytest.mark.slow
@@ -96,5 +96,5 @@ def test_errors_of_the_lab_against_labels_and_truth_can_be_computed_again(tmp_pa
     assert columns["labels_rms_m"] == labels["rms_m"] and columns["unlabelled"] == labels["unlabelled"]
     places = draw_fields(Fields("method"), [{**row, "median_m": 0.1}], ["seed"], tmp_path)
     assert places.axes[0].get_title().startswith("DeepGPS")
-    paths = {str(chunk.entity_path) for chunk in open_rrd(folder / RECORDING).stream()}
+    paths = {str(chunk.entity_path) for chunk in open_rrd(folder / VIEWED).stream()}
     assert {"/world/error_field/deepgps", "/drive/fisheye", "/drive/tag_camera"} <= paths
