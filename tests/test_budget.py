@@ -5,9 +5,9 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "lines of sim and deepgps": 41_300,
+    "lines of sim and deepgps": 41_335,
     "files of sim and deepgps": 284,
-    "lines of tests": 28_600,
+    "lines of tests": 28_614,
     "Python files directly in deepgps": 2,
     "words of decisions": 6_030,
     "words of all other pages by hand": 19_247,

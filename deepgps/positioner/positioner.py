@@ -13,6 +13,7 @@ from typing import Any, ClassVar, NamedTuple, Self
 import numpy as np
 import torch
 from pydantic import TypeAdapter
+from scipy.spatial import KDTree
 from torch import nn
 
 from deepgps.config.learning import LearnSettings, NetworkSettings
@@ -38,6 +39,11 @@ class Positioner(ABC):
     @property
     def mirrored(self) -> bool | None:
         """Whether a turn to the left is one to the right on its map; None: it is not known."""
+        return None
+
+    @property
+    def mapped(self) -> KDTree | None:
+        """Places on its map of the images that it compares others with [m]; None: it is not known."""
         return None
 
     @abstractmethod
@@ -98,6 +104,10 @@ class FeaturePositioner(Positioner):
         if self.appearance is None or self.appearance.pixels is None:
             return None
         return self.appearance.registration.chirality < 0
+
+    @property
+    def mapped(self) -> KDTree | None:
+        return None if self.appearance is None else self.appearance.registration.tree
 
     def leave_camera(self, camera: np.ndarray, yaw: np.ndarray) -> np.ndarray:
         """Positions of the axle (B, 2) [m] by those of the camera and the yaw (B,) [rad]; where it is NaN, the same."""

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from deepgps.api.run import Frame, Run
 from deepgps.data.checks import find_view
@@ -126,7 +127,7 @@ def locate_source(run: Run, source: str, stdin: BinaryIO, wish: Wish, progress: 
         view_deg = find_view(run.recording)
         with open_source(Path(source), wish.config, view_deg, wish.track, progress) as log:
             check_images(log.polar, shape, view_deg)
-            tracker, odometry = Tracker(bool(positioner.mirrored)), log.odometry
+            tracker, odometry = Tracker(bool(positioner.mirrored), positioner.mapped), log.odometry
 
             def step(name: str, pose: Poses) -> Poses:
                 assert odometry is not None
@@ -142,10 +143,11 @@ TURN_STD_SHARE, MIN_TURN_STD_RAD = 0.1, 0.01  # Of the turn between two images, 
 
 
 class Tracker:
-    """Tracks the robot through a stream of images; ``mirrored``: to the left is to the right in the method's map."""
+    """Tracks the robot through a stream of images; ``mirrored``: to the left is to the right in the method's map, which
+    is of images at the places ``mapped``."""
 
-    def __init__(self, mirrored: bool) -> None:
-        self._mirrored, self._state = mirrored, begin()
+    def __init__(self, mirrored: bool, mapped: KDTree | None = None) -> None:
+        self._mirrored, self._state = mirrored, begin(mapped)
         self._travelled_m, self._yaw = np.nan, np.nan  # at the last image, by odometry
 
     def step(self, pose: Poses, travelled_m: float, yaw: float) -> Poses:

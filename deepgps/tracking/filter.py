@@ -3,7 +3,8 @@
 Every image moves the hypotheses, and begins new ones where none is near it. Evidence decides between them: the
 likelihood of the images under each, against that of a robot whose pose is unknown. So a robot that was carried is found
 again, and places that look alike are told apart while it drives on. Images close together share their errors, so an
-image counts only as far as the robot has moved since the last one.
+image counts only as far as the robot has moved since the last one. Where nothing is mapped, images are of no place that
+is known, but may well look like one: there the robot follows its wheels, and an image counts little.
 
 Several hypotheses: Cox and Leonard, "Modeling a dynamic environment using a Bayesian multiple hypothesis approach",
 Artificial Intelligence 66(2), 1994.
@@ -13,6 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from deepgps.tracking.fix import Fix, Trail, add_image, begin_trail, break_off, extend, find_factor, update
 from deepgps.tracking.motion import SCALE_STD, Motion, invert, move
@@ -26,6 +28,8 @@ MAX_LEAD = 30.0  # Largest evidence of a hypothesis, so that it can be overtaken
 SHARED_ERROR_M, SHARED_ERROR_RAD = 0.1, 0.2
 """Images of places or headings that are closer share their errors of position and yaw [m], [rad]."""
 EVIDENCE_DISTANCE_M = 0.25  # Way after which an image is as much evidence as one of a place far away [m]
+MAPPED_DISTANCE_M, UNMAPPED_SHARE = 0.3, 0.1
+"""Distance from images of the map up to which a place is mapped [m]; share of the evidence that counts elsewhere."""
 REFUSED_ERROR_FACTOR = 4.0  # Factor of the errors of images that their method refuses: they are alike over a long way
 MIN_START_GAP_M, MIN_START_GAP_RAD = 0.3, 0.35  # No hypothesis begins so near to another one [m], [rad]
 MERGE_M, MERGE_RAD = 0.05, 0.1
@@ -44,6 +48,7 @@ class State:
     trail: Trail  # The last images along the path by odometry, which tell how large the errors of images are
     moved_m: float = np.inf  # Way since the last image that was used [m]
     turned_rad: float = np.inf  # Turns since then [rad]
+    mapped: KDTree | None = None  # Places of the images of the map [m]; None: unknown
 
 
 @dataclass(frozen=True)
@@ -60,9 +65,9 @@ class Estimate:
     accepted: bool  # Whether it is certain enough to be used
 
 
-def begin() -> State:
-    """The state of a robot whose pose is unknown."""
-    return State(np.empty((0, 4)), np.empty((0, 4, 4)), np.empty(0), begin_trail())
+def begin(mapped: KDTree | None = None) -> State:
+    """The state of a robot whose pose is unknown, on a map of images at these places [m] if they are known."""
+    return State(np.empty((0, 4)), np.empty((0, 4, 4)), np.empty(0), begin_trail(), mapped=mapped)
 
 
 def advance(state: State, motion: Motion | None, fix: Fix | None) -> State:
@@ -73,7 +78,7 @@ def advance(state: State, motion: Motion | None, fix: Fix | None) -> State:
 def predict(state: State, motion: Motion | None) -> State:
     """The state after a motion; None: nothing is known of it."""
     if motion is None:
-        return replace(begin(), trail=break_off(state.trail))
+        return replace(begin(state.mapped), trail=break_off(state.trail))
     mean, covariance = move(state.mean, state.covariance, motion)
     scale = float(mean[state.evidence.argmax(), 3]) if len(mean) else 0.0
     return replace(
@@ -92,14 +97,14 @@ def see(state: State, fix: Fix | None) -> State:
         return state
     trail = add_image(state.trail, fix)
     fix = _scale(fix, find_factor(trail) * (1.0 if fix.accepted else REFUSED_ERROR_FACTOR))
-    moved, counts = state.moved_m / SHARED_ERROR_M, min(1.0, state.moved_m / EVIDENCE_DISTANCE_M)
+    moved, counts = state.moved_m / SHARED_ERROR_M, _find_share(state) * min(1.0, state.moved_m / EVIDENCE_DISTANCE_M)
     own_place, own_yaw = np.sqrt(np.clip([moved, moved + state.turned_rad / SHARED_ERROR_RAD], 1e-6, 1.0)).tolist()
     updated = update(state.mean, state.covariance, _scale(fix, 1.0 / own_place, 1.0 / own_yaw))
     evidence = state.evidence + counts * np.minimum(updated.likelihood, MAX_EVIDENCE)
     if not fix.accepted:  # what was certain does not rise, and nothing becomes so
         certain = state.evidence > MAX_REFUSED_EVIDENCE
         evidence = np.where(certain, np.minimum(evidence, state.evidence), limit(evidence, ~certain))
-    state = State(updated.mean, updated.covariance, evidence, trail, 0.0, 0.0)
+    state = State(updated.mean, updated.covariance, evidence, trail, 0.0, 0.0, state.mapped)
     return _keep_best(_add_new(state, fix))
 
 
@@ -132,6 +137,14 @@ def limit(evidence: np.ndarray, unsure: np.ndarray) -> np.ndarray:
     """Evidence (K,), where ``unsure`` (K,) lowered alike, so that none of it exceeds ``MAX_REFUSED_EVIDENCE``."""
     excess = max(float(evidence[unsure].max(initial=0.0)) - MAX_REFUSED_EVIDENCE, 0.0)
     return evidence - np.where(unsure, excess, 0.0)
+
+
+def _find_share(state: State) -> float:
+    """How much an image counts, by where the robot probably is."""
+    best = int(state.evidence.argmax()) if len(state.evidence) else None
+    if state.mapped is None or best is None or weigh(state)[best] < 0.5:
+        return 1.0
+    return 1.0 if state.mapped.query(state.mean[best, :2])[0] <= MAPPED_DISTANCE_M else UNMAPPED_SHARE
 
 
 def _scale(fix: Fix, place: float, yaw: float = 1.0) -> Fix:
@@ -188,20 +201,29 @@ AGREEMENT = MAX_EVIDENCE  # Evidence of two states that agree, against one of th
 PRIOR = np.diag([0.0, 0.0, 0.0, SCALE_STD**-2])
 
 
-def run_forward(motions: Sequence[Motion | None], fixes: Sequence[Fix | None]) -> list[State]:
-    """The state after each of M images, by the motions to each from the one before, the first of which is not used."""
-    return [after for _, after in _run(motions[1:], fixes)]
+def run_forward(
+    motions: Sequence[Motion | None], fixes: Sequence[Fix | None], mapped: KDTree | None = None
+) -> list[State]:
+    """The state after each of M images, by the motions to each from the one before, the first of which is not used.
+
+    The map is of images at the places ``mapped``, if they are known.
+    """
+    return [after for _, after in _run(motions[1:], fixes, mapped)]
 
 
-def run_backward(motions: Sequence[Motion | None], fixes: Sequence[Fix | None]) -> list[State]:
+def run_backward(
+    motions: Sequence[Motion | None], fixes: Sequence[Fix | None], mapped: KDTree | None = None
+) -> list[State]:
     """The state at each of M images by those after it alone; arguments as of ``run_forward``."""
     back = [motion and invert(motion) for motion in reversed(motions[1:])]
-    return [before for before, _ in _run(back, fixes[::-1])][::-1]
+    return [before for before, _ in _run(back, fixes[::-1], mapped)][::-1]
 
 
-def _run(motions: Sequence[Motion | None], fixes: Sequence[Fix | None]) -> list[tuple[State, State]]:
+def _run(
+    motions: Sequence[Motion | None], fixes: Sequence[Fix | None], mapped: KDTree | None
+) -> list[tuple[State, State]]:
     """The states before and after each of M images with M - 1 motions between them."""
-    states, after = [], begin()
+    states, after = [], begin(mapped)
     for motion, fix in zip([None, *motions], fixes, strict=True):
         before = predict(after, motion)
         after = see(before, fix)
@@ -211,7 +233,8 @@ def _run(motions: Sequence[Motion | None], fixes: Sequence[Fix | None]) -> list[
 
 def smooth(causal: Sequence[State], motions: Sequence[Motion | None], fixes: Sequence[Fix | None]) -> list[State]:
     """The state at each of M images by all of them, given those by the images until then; else as ``run_forward``."""
-    return [fuse(*both) for both in zip(causal, run_backward(motions, fixes), strict=True)]
+    backward = run_backward(motions, fixes, causal[0].mapped if causal else None)
+    return [fuse(*both) for both in zip(causal, backward, strict=True)]
 
 
 def fuse(forward: State, backward: State) -> State:

@@ -95,7 +95,7 @@ def track_drive(positioner: Positioner, recording: Recording, progress: Report) 
         mirrored = find_chirality(poses.position, segments, drive.turns.angle) < 0
     motions = [one and mirror(one) for one in drive.motions] if mirrored else drive.motions
     progress("track", 2, 4)
-    causal = run_forward(motions, fixes)
+    causal = run_forward(motions, fixes, positioner.mapped)
     progress("track", 3, 4)
     smoothed = smooth(causal, motions, fixes)
     progress("track", 4, 4)

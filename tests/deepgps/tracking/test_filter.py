@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial import KDTree
 
 from deepgps.positioner.pose import Poses
 from deepgps.tracking.filter import advance, begin, estimate, run_forward, smooth, weigh
@@ -112,6 +113,19 @@ def test_poses_that_one_image_may_be_of_are_told_apart_by_driving_on():
     turned = [replace(one, yaw=one.yaw + 0.7 * number) for number, one in enumerate(both)]
     error = miss(track(replace(drive, fixes=turned)), drive.pose)
     assert error[:2].min() > 2.0 and error[60:].max() < 0.1
+
+
+def test_place_that_is_not_mapped_is_not_taken_for_one_that_looks_alike():
+    """After 60 images the robot leaves what is mapped, and for six metres all images show a place that is."""
+    drive, away = make_drive(np.random.default_rng(5), images=110), np.array([30.0, 10.0])
+    alike = [replace(one, position=one.position + away) for one in drive.fixes[60:]]
+    left = replace(drive, fixes=[*drive.fixes[:60], *alike])
+    mapped = KDTree(np.concatenate([drive.pose[:60, :2], drive.pose[60:, :2] + away]))
+    unaware, aware = (
+        miss(np.array([[*one.position, one.yaw] for one in map(estimate, states)]), drive.pose)
+        for states in (run_forward(left.motions, left.fixes), run_forward(left.motions, left.fixes, mapped))
+    )
+    assert unaware[80:].min() > 10.0 and aware.max() < 0.5
 
 
 def test_images_without_yaw_are_enough():
