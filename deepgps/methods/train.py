@@ -1,6 +1,6 @@
 """The second stage of a run: train its methods. What is trained already stays.
 
-Networks are trained side by side, each in a process of its own, as many at once as there are cores for their threads. A
+Methods are trained side by side, each in a process of its own, as many at once as there are cores for their threads. A
 training fixes its number of threads and its random numbers, so it gives the same bytes in a process of its own.
 Features that several methods share are computed by the first that needs them, while the others wait.
 """
@@ -43,7 +43,7 @@ def train(scenario: Scenario, folder: Path, progress: Report, processes: int | N
         scenario: The scenario.
         folder: The run's folder, with its recording.
         progress: Called with each method's steps done and their number.
-        processes: Most networks that are trained at once; None: one for each usable core.
+        processes: Most methods that are trained at once; None: one for each usable core.
     """
     from deepgps.methods.fit import fit_method
     from deepgps.positioner.stored_positioner import is_finished
@@ -51,11 +51,11 @@ def train(scenario: Scenario, folder: Path, progress: Report, processes: int | N
     recording, seed = open_recording(folder / "recording"), training_seed(scenario)
     missing = [method for method in scenario.methods if not is_finished(folder_of(folder, method))]
     most = count_processes(scenario.learn) if processes is None else processes
-    networks = choose_networks(missing, scenario.learn) if most > 1 else []
-    if networks:
+    long = choose_long(missing, scenario.learn, len(recording.observation)) if most > 1 else []
+    if long:
         place = folder / "recording"
-        each = [Training(name, place, scenario.learn, seed, folder_of(folder, name)) for name in networks]
-        with timed(folder, f"train {', '.join(networks)}"):
+        each = [Training(name, place, scenario.learn, seed, folder_of(folder, name)) for name in long]
+        with timed(folder, f"train {', '.join(long)}"):
             train_side_by_side(each, most, progress)
     for method in scenario.methods:
         place = folder_of(folder, method)
@@ -68,8 +68,8 @@ def training_seed(scenario: Scenario) -> int:
     return scenario.seed if scenario.learn.seed is None else scenario.learn.seed
 
 
-MIN_STEPS = 500
-"""A process of its own pays for trainings of so many steps; a shorter one takes about as long as importing torch."""
+MIN_STEPS, MIN_IMAGES = 500, 4000
+"""A process of its own pays for so many steps or images; what is shorter takes about as long as importing torch."""
 PERIOD_S = 1.0  # Interval at which a training's history is sent to the parent
 
 
@@ -100,16 +100,18 @@ class Step(NamedTuple):
     history: Mapping[str, np.ndarray] | None
 
 
-def choose_networks(methods: Sequence[str], settings: LearnSettings) -> list[str]:
+def choose_long(methods: Sequence[str], settings: LearnSettings, images: int) -> list[str]:
     """Those methods that pay to be trained side by side; none on one core, and none on a GPU, which they would share.
 
     A method that is added by a plugin or a program is known in that process alone.
     """
     from deepgps.learning.trainer import choose_device
 
-    networks = [name for name in methods if METHODS[name].in_steps and str(METHODS[name].fit).startswith("deepgps.")]
-    pays = len(networks) > 1 and count_processes(settings) > 1 and settings.train.steps >= MIN_STEPS
-    return networks if pays and choose_device(settings.train.device).type == "cpu" else []
+    ours = [name for name in methods if str(METHODS[name].fit).startswith("deepgps.")]
+    in_steps = settings.train.steps >= MIN_STEPS
+    long = [name for name in ours if images >= MIN_IMAGES or (in_steps and METHODS[name].in_steps)]
+    pays = len(long) > 1 and count_processes(settings) > 1
+    return long if pays and choose_device(settings.train.device).type == "cpu" else []
 
 
 def count_processes(settings: LearnSettings) -> int:

@@ -12,7 +12,7 @@ from deepgps.config.learning import LearnSettings
 from deepgps.config.methods import folder_of
 from deepgps.config.scenario import Scenario
 from deepgps.methods import train as side_by_side
-from deepgps.methods.train import choose_networks, train, train_side_by_side
+from deepgps.methods.train import choose_long, train, train_side_by_side
 from deepgps.terminal.progress import ignore
 from sim.errors import InputError, WorkError
 
@@ -56,21 +56,22 @@ def test_short_trainings_single_ones_and_those_on_one_core_stay_in_this_process(
     settings = LearnSettings()
     monkeypatch.setattr(side_by_side, "usable_cores", lambda: 2)
     names = ["deepgps", "knn", "posenet"]
-    assert choose_networks(names, settings) == ["deepgps", "posenet"]
-    assert choose_networks(names[:2], settings) == []
-    assert choose_networks(names, LearnSettings(train={"steps": 100})) == []  # pyright: ignore
+    assert choose_long(names, settings, 600) == ["deepgps", "posenet"]
+    assert choose_long(names, settings, 8000) == names
+    assert choose_long(names[:2], settings, 600) == []
+    assert choose_long(names, LearnSettings(train={"steps": 100}), 600) == []  # pyright: ignore
     monkeypatch.setattr(side_by_side, "usable_cores", lambda: 1)
-    assert choose_networks(names, settings) == []
+    assert choose_long(names, settings, 8000) == []
 
 
 @pytest.mark.slow
 def test_trainings_side_by_side_give_the_same_bytes_in_any_order(
     small_recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    names = ["deepgps", "posenet", "deepgps_compass"]
+    names = ["deepgps", "registration", "posenet", "registration_distances"]
     learn = {"train": {"steps": 60, "checkpoint_steps": 30, "segments": 8, "samples": 4}, "network": {"width": 32}}
     scenario = Scenario.model_validate({"name": "mine", "learn": learn, "methods": names})
-    monkeypatch.setattr(side_by_side, "MIN_STEPS", 0)
+    monkeypatch.setattr(side_by_side, "MIN_IMAGES", 0)
     for name, methods, processes in (("one", names, 1), ("two", names, 2), ("back", names[::-1], 3)):
         (tmp_path / name).mkdir()
         (tmp_path / name / "recording").symlink_to(small_recording)
