@@ -22,7 +22,8 @@ from sim.errors import InputError
 from sim.recording.format import Recording
 from sim.rng import stream
 
-MIN_LEFT_OUT_SHARE = 0.001  # Least share of the readings in a part that is left out, since it could be mirrored
+MIN_LEFT_OUT_SHARE, MAX_LEFT_OUT_SHARE = 0.001, 0.5
+"""Least share of the readings in a part that is left out, since it could be mirrored; most that are left out in all."""
 
 
 def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
@@ -43,7 +44,7 @@ def fit_distances(recording: Recording, settings: LearnSettings, seed: int, fold
     undecided = np.zeros(len(places), bool)
     if kind == "paths":
         undecided = find_ambiguous(places, data.features, data.segments, MIN_LEFT_OUT_SHARE)
-        if not undecided.all():
+        if undecided.mean() <= MAX_LEFT_OUT_SHARE:
             places[undecided] = np.nan
         places = refine_distances(recording, data, places, stream(seed, "map by distances, registered"))
     progress(f"{folder.name}: initial map", 1, 1)
@@ -93,7 +94,7 @@ def find_headings(recording: Recording, positions: np.ndarray) -> np.ndarray:
     """Headings (N,) [rad] on the map of the positions (N, 2) [m] of a drive's images; NaN where they are unknown.
 
     They are the directions of straight lines through the positions of each segment, along which images are evenly
-    spaced. Observations that belong to two segments are left out, since the robot has turned there. No tick is read:
+    spaced. One that belongs to two segments was seen at the end of the first, before the robot turned. No tick is read:
     methods that learn from none share their weights.
     """
     uses, heading = np.bincount(recording.reading[:, 1], minlength=len(positions)), np.full(len(positions), np.nan)
@@ -101,5 +102,6 @@ def find_headings(recording: Recording, positions: np.ndarray) -> np.ndarray:
         index = recording.reading[run, 1]
         x, y = (index - index.mean()) @ (positions[index] - positions[index].mean(axis=0))
         if len(run) > 1 and np.hypot(x, y):
-            heading[index[uses[index] == 1]] = np.arctan2(y, x)
+            seen_before = uses[index[0]] > 1
+            heading[index[1:] if seen_before else index] = np.arctan2(y, x)
     return heading

@@ -186,10 +186,8 @@ def _reckon(recording: Recording, drive: Drive, mirrored: bool, first: tuple[int
 
 
 def _list_hypotheses(states: Sequence[State]) -> tuple[np.ndarray, np.ndarray]:
-    hypothesis, probability = (
-        np.full((len(states), KEPT_HYPOTHESES, 3), np.nan),
-        np.zeros((len(states), KEPT_HYPOTHESES)),
-    )
+    probability = np.zeros((len(states), KEPT_HYPOTHESES))
+    hypothesis = np.full((*probability.shape, 3), np.nan)
     for row, state in enumerate(states):
         weight = weigh(state)
         order = np.argsort(-weight, kind="stable")[:KEPT_HYPOTHESES]

@@ -265,13 +265,13 @@ def test_a_fused_position_is_nearer_to_the_surer() -> None:
     np.testing.assert_allclose(covariance, [0.75 * np.eye(2)])
 
 
-def test_headings_are_the_directions_of_segments_and_unknown_where_the_robot_turns(
+def test_headings_are_the_directions_of_segments_and_before_a_turn_that_of_the_first(
     small_recording: Path, pose: np.ndarray
 ) -> None:
     recording = open_recording(small_recording)
     heading = find_headings(recording, pose[:, :2])
     known, uses = np.isfinite(heading), np.bincount(recording.reading[:, 1], minlength=len(pose))
-    assert not known[uses > 1].any() and known.mean() > 0.5
+    assert known[uses > 1].any() and known.mean() > 0.95
     assert np.abs(wrap(heading - pose[:, 2]))[known].max() < 0.01
 
 

@@ -91,10 +91,10 @@ def test_errors_of_the_lab_against_labels_and_truth_can_be_computed_again(tmp_pa
     labels = metrics["labels"]
     assert 0 <= labels["unlabelled"] < 120 and 0 <= labels["test_unlabelled"] < 30
     assert labels["median_m"] < 0.01 and metrics["test"] == {"held_out": True, "headings": 1}
-    row = {"method": "deepgps", "run": "one", "seed": plan.scenario.seed, "rms_m": 1.0}
+    row = {"method": "registration_distances", "run": "one", "seed": plan.scenario.seed, "rms_m": 1.0}
     columns = add_labels(folder, row)
     assert columns["labels_rms_m"] == labels["rms_m"] and columns["unlabelled"] == labels["unlabelled"]
     places = draw_fields(Fields("method"), [{**row, "median_m": 0.1}], ["seed"], tmp_path)
-    assert places.axes[0].get_title().startswith("DeepGPS")
+    assert places.axes[0].get_title().startswith("Registration, distances")
     paths = {str(chunk.entity_path) for chunk in open_rrd(folder / VIEWED).stream()}
-    assert {"/world/error_field/deepgps", "/drive/fisheye", "/drive/tag_camera"} <= paths
+    assert {"/world/error_field/registration_distances", "/drive/fisheye", "/drive/tag_camera"} <= paths

@@ -115,7 +115,7 @@ def test_the_small_study_runs_to_its_pictures(name: str, tmp_path: Path) -> None
 
 @pytest.mark.slow
 def test_a_study_run_by_the_command_is_published_and_noise_of_the_encoders_does_not_reach_posenet(tmp_path: Path):
-    done = deepgps("study", BY_COMMAND, "--tiny", "--out", "out", "--publish", "results", cwd=tmp_path)
+    done = deepgps("study", BY_COMMAND, "--tiny", "--networks", "--out", "out", "--publish", "results", cwd=tmp_path)
     assert (done.returncode, drop_progress(done.stderr)) == (0, [])
     published = tmp_path / "results" / f"{BY_COMMAND}-tiny"
     names = {path.relative_to(published).as_posix() for path in published.rglob("*") if path.is_file()}
