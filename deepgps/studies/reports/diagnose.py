@@ -206,10 +206,8 @@ def _judge_quantity(row: Row, name: str, made: Sequence[str]) -> Row:
 def _list_targets() -> list[Target]:
     none, alike = {"kind": "recording", "faults": 0}, {"kind": "recording", "set": EQUAL_RADII}
     must, made, finding, quantity = ({"kind": kind} for kind in ("must", "set", "finding", "quantity"))
-    small, scale = (
-        "the same with those too small to be detected, {count}",
-        "alarms but for the scale of turns, in {count}",
-    )
+    small = "the same with those too small to be detected, {count}"
+    scale = "alarms but for the scale of turns, in {count}"
     least, most = "intervals hold, least of all quantities", "intervals hold, most of all quantities"
     track, ratio = "track width, median error", "ratios of the wheels, median error"
     return [

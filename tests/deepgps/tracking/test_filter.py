@@ -215,9 +215,8 @@ def test_probabilities_leave_room_for_an_unknown_pose():
 
 def test_filter_needs_numpy_alone():
     names = ("filter", "fix", "motion")
-    code = (
-        f"import sys; {'; '.join(f'import deepgps.tracking.{name}' for name in names)}; print('torch' in sys.modules)"
-    )
+    imports = "; ".join(f"import deepgps.tracking.{name}" for name in names)
+    code = f"import sys; {imports}; print('torch' in sys.modules)"
     assert subprocess.check_output([sys.executable, "-c", code], text=True).strip() == "False"
 
 
