@@ -10,7 +10,7 @@ LIMITS = {
     "lines of tests": 28_614,
     "Python files directly in deepgps": 2,
     "words of decisions": 6_030,
-    "words of all other pages by hand": 19_247,
+    "words of all other pages by hand": 19_870,
     "words of the reference that the code does not say": 3_320,
     "words of published results": 8_000,
 }
