@@ -94,14 +94,14 @@ def find_headings(recording: Recording, positions: np.ndarray) -> np.ndarray:
     """Headings (N,) [rad] on the map of the positions (N, 2) [m] of a drive's images; NaN where they are unknown.
 
     They are the directions of straight lines through the positions of each segment, along which images are evenly
-    spaced. One that belongs to two segments was seen at the end of the first, before the robot turned. No tick is read:
-    methods that learn from none share their weights.
+    spaced. Observations that belong to two segments are left out, unless the first of these has no others: it was seen
+    at its end, before the robot turned. No tick is read: methods that learn from none share their weights.
     """
     uses, heading = np.bincount(recording.reading[:, 1], minlength=len(positions)), np.full(len(positions), np.nan)
     for run in find_runs(recording):
         index = recording.reading[run, 1]
         x, y = (index - index.mean()) @ (positions[index] - positions[index].mean(axis=0))
         if len(run) > 1 and np.hypot(x, y):
-            seen_before = uses[index[0]] > 1
-            heading[index[1:] if seen_before else index] = np.arctan2(y, x)
+            own = index[uses[index] == 1]
+            heading[own if len(own) else index[1:]] = np.arctan2(y, x)
     return heading
