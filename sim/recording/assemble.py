@@ -42,7 +42,7 @@ class CollectedDrive(NamedTuple):
 
 def write_drive(
     folder: Path, settings: SimSettings, drive: CollectedDrive, rng: np.random.Generator, wheel_radius_m: float
-) -> dict[str, float]:
+) -> dict[str, Any]:
     """Write the drive, cut to the number of samples wanted, and return its entries for the manifest.
 
     The wheel radius is the effective one [m]; ``rng`` is the parent of the RNG streams of the encoders' faults.
@@ -75,6 +75,7 @@ def write_drive(
         "samples_dropped": int(sum(chunk["dropped"] for chunk in drive.chunks)),
         "times_relocated": int(sum(chunk.get("relocated", 0) for chunk in drive.chunks)),
         "distance_driven_m": measure_driven(segment, angle.mean(axis=1) * wheel_radius_m),
+        **{name: part.round(3).tolist() for name, part in drive.chunks[-1].items() if name == "unreached"},
     }
 
 

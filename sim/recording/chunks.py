@@ -18,7 +18,7 @@ from sim.recording.manifest import LIGHT_STATES
 from sim.recording.renderers import Part, UnsteadyError
 from sim.recording.turns import KINDS
 from sim.robot.drive import DriveMode, Segment, next_segment
-from sim.robot.headings import Visits
+from sim.robot.explorer import make_planner
 from sim.robot.world import RoomWorld
 from sim.sensors.catalog import SENSORS, Opened, list_carried, load
 from sim.settings import SimSettings
@@ -39,13 +39,13 @@ def drive_chunk(
         rng.bit_generator.state = json.loads(str(before["rng_state"]))
         segments, observations = int(before["segments"]), int(before["observations"])
         mode = DriveMode(bool(before["continues"]), before["mode"].item(), int(before["side"]))
-    visits = Visits(world.body, world.wheel_angle())
-    if before and "visit_angle" in before:  # a drive with random headings may have begun before there were visits
-        visits.set_state(before)
+    planner = make_planner(world, settings.drive)
+    if before:
+        planner.set_state(before)
     first, driven, dropped, relocated = observations, list[dict[str, np.ndarray]](), 0, 0
     wanted = settings.drive.samples + settings.grid.held_out
     while observations - first < CHUNK and observations < wanted:
-        segment = next_segment(world, settings.drive, rng, mode, visits)
+        segment = next_segment(world, settings.drive, rng, mode, planner)
         driven.append(_number(segment, segments, observations))
         observations += len(driven[-1]["state"])
         segments, mode = segments + 1, segment.mode
@@ -60,7 +60,7 @@ def drive_chunk(
         "continues": np.array(mode.continues),
         "mode": np.array(mode.kind),
         "side": np.array(mode.side),
-        **visits.state(),
+        **planner.state(),
         "world_state": world.state(),
         "rng_state": np.array(json.dumps(rng.bit_generator.state)),
     }

@@ -53,6 +53,7 @@ TRAINING_ENTRIES = (
     "readings_lost",
     "samples_dropped",
     "times_relocated",
+    "unreached",
     "distance_driven_m",
     "gl_renderer",
 )
@@ -111,7 +112,7 @@ def derive(base: Path, settings: SimSettings, seed: int, folder: Path) -> None:
             link_file(base / name, folder / name)
     manifest = recording.manifest.model_dump(by_alias=True, exclude_unset=True)
     if not whole:
-        for name in ("samples_dropped", "times_relocated", *IMAGE_COUNTS):  # known only for the complete drive
+        for name in ("samples_dropped", "times_relocated", "unreached", *IMAGE_COUNTS):  # of the complete drive
             manifest.pop(name, None)
     manifest |= _read_again(recording, truth, turns, kept, settings, seed, folder)
     manifest |= {"settings": settings.model_dump(mode="json"), "samples": samples}

@@ -19,7 +19,8 @@ import numpy as np
 
 from sim.errors import WorkError
 from sim.geometry import planar_pose
-from sim.robot.headings import MIN_CLEARANCE_M, DriveMode, Gaps, Visits, is_staler_aside, turn_to_clear
+from sim.robot.explorer import make_planner
+from sim.robot.headings import MIN_CLEARANCE_M, Course, DriveMode, Gaps, Planner, Visits, is_staler_aside, turn_to_clear
 from sim.robot.model import CONTROL_PERIOD_S, wheel_speeds
 from sim.robot.motion import (
     ACCELERATION_MPS2,
@@ -84,43 +85,44 @@ class Segment:
 
 def drive(robot: Robot, settings: DriveSettings, rng: np.random.Generator) -> Iterator[Segment]:
     """Drive forever, one segment after another."""
-    mode, visits = DriveMode(), Visits(robot.body, robot.wheel_angle())
+    mode, planner = DriveMode(), make_planner(robot, settings)
     while True:
-        segment = next_segment(robot, settings, rng, mode, visits)
+        segment = next_segment(robot, settings, rng, mode, planner)
         mode = segment.mode
         yield segment
 
 
 def next_segment(
-    robot: Robot, settings: DriveSettings, rng: np.random.Generator, mode: DriveMode, visits: Visits
+    robot: Robot, settings: DriveSettings, rng: np.random.Generator, mode: DriveMode, planner: Planner
 ) -> Segment:
     """Turn the robot, at rest, to a clear heading and drive one straight segment of at least two samples.
 
     The mode is the last segment's or a new one; ``rng`` draws headings, arcs, when to enter or search, and the heading
-    of a relocated robot. The segment is added to the visits. Raises WorkError if the robot is stuck.
+    of a relocated robot. The planner says where to, and follows the robot. Raises WorkError if the robot is stuck.
     """
     wedged = relocated = dropped = 0
     after_arc = False
     for _ in range(TRIES):
-        while (stop_m := turn_to_clear(robot, settings, rng, mode, visits)) is None:
+        while (course := turn_to_clear(robot, settings, rng, mode, planner)) is None:
             mode = mode._replace(continues=False)
             wedged += 1
             if wedged <= MAX_ESCAPES:
-                _back_off(robot, visits)
+                _back_off(robot, planner)
             elif not relocated:
                 robot.carry(rng)
-                visits.forget()
+                planner.forget()
                 wedged, relocated = 0, 1
             else:
                 raise WorkError(f"the robot is stuck at {robot.time():.1f} s: nothing is clear all around")
         if settings.arcs and mode.kind != "enter" and _may_drive_arc(robot, settings, rng):
-            visits.move(robot.wheel_angle())
+            planner.move(robot.wheel_angle())
             mode, after_arc = mode._replace(continues=False), True
             continue
-        segment = _go_straight(robot, settings, rng, stop_m, mode, visits)
-        visits.pass_over(robot.wheel_angle())
-        if segment.ended in TOUCH_ENDINGS:
-            _back_off(robot, visits)
+        segment = _go_straight(robot, settings, rng, course, mode, planner)
+        touched = segment.ended in TOUCH_ENDINGS
+        planner.pass_over(robot.wheel_angle(), segment.wheel_angle, touched)
+        if touched:
+            _back_off(robot, planner)
         dropped += segment.dropped
         if len(segment.time) >= 2:
             return replace(segment, dropped=dropped, relocated=relocated, after_arc=after_arc)
@@ -136,27 +138,31 @@ def _may_drive_arc(robot: Robot, settings: DriveSettings, rng: np.random.Generat
     return drive_arc(robot, settings, length_m, side / radius_m)
 
 
-def _back_off(robot: Robot, visits: Visits) -> None:
+def _back_off(robot: Robot, planner: Planner) -> None:
     back_off(robot)
-    visits.move(robot.wheel_angle())
+    planner.move(robot.wheel_angle())
 
 
 def _go_straight(
-    robot: Robot, settings: DriveSettings, rng: np.random.Generator, stop_m: float, mode: DriveMode, visits: Visits
+    robot: Robot, settings: DriveSettings, rng: np.random.Generator, course: Course, mode: DriveMode, planner: Planner
 ) -> Segment:
-    """Drive straight until the length, a gap, the ranges, the bumper or a stall stops the robot, ``stop_m`` [m] before
-    what is ahead of the body, and take the samples."""
-    path, length_m, gap = _Path(robot, settings), _draw_length(settings, rng), 0
+    """Drive straight until the length, a gap, the ranges, the bumper or a stall stops the robot, ``course.stop_m`` [m]
+    before what is ahead of the body, and take the samples."""
+    visits = planner if settings.headings == "explore" and isinstance(planner, Visits) else None
+    if not isinstance(planner, Visits):
+        settings = settings.model_copy(update={"enter": 0.0, "search": 0.0})
+    path, length_m, gap = _Path(robot, settings), min(_draw_length(settings, rng), course.length_m), 0
+    stop_m = course.stop_m
     gaps, heed = _choose_gaps(settings, mode, stop_m, robot.body.radius_m)
-    explores = settings.headings == "explore"
     # Short rays are enough to stop in time, and cheaper.
     blind_m = settings.speed_mps**2 / (2 * ACCELERATION_MPS2) + SLIP_M + 0.1
     reach_m = blind_m + stop_m + robot.body.radius_m + RANGE_TOLERANCE_M
     while True:
         clear_m = look(robot, reach_m) - stop_m
         path.see(clear_m, blind_m)
+        planner.watch(robot, path.travelled_m)
         for side in gaps.find(robot, path.travelled_m) if not gap else ():
-            if rng.uniform() < heed or (explores and is_staler_aside(robot, visits, side, path.travelled_m, stop_m)):
+            if rng.uniform() < heed or (visits and is_staler_aside(robot, visits, side, path.travelled_m, stop_m)):
                 gap, length_m = side, min(length_m, path.travelled_m + path.speed**2 / (2 * ACCELERATION_MPS2))
         rest_m = min(length_m - path.travelled_m, clear_m)
         if ended := _why_stop(robot.bumped(), path, clear_m, rest_m):

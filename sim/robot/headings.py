@@ -5,7 +5,7 @@ slip; then some places are visited more often than others, and nothing else depe
 """
 
 import math
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 
@@ -31,6 +31,16 @@ class Visits:
         self._place, self._driven_m = np.zeros(2), 0.0
         self._last_m = np.full((GRID_CELLS, GRID_CELLS), -UNVISITED_AGE_M)
 
+    def choose(self, robot: Robot, settings: DriveSettings, rng: np.random.Generator, mode: "DriveMode") -> "Course":
+        """Where the next segment goes: as the mode says, or over the floor that was visited longest ago."""
+        if mode.kind == "search":
+            return Course(mode.side * SEARCH_TURN_RAD, -mode.side, SEARCH_EXTRA_TURN_RAD)
+        angle = mode.side * np.pi / 2 if mode.kind == "enter" else _choose_heading(robot, settings, rng, self)
+        return Course(angle)
+
+    def watch(self, robot: Robot, travelled_m: float) -> None:
+        """What is seen on the way tells nothing of visits."""
+
     def move(self, wheel_angle: np.ndarray) -> None:
         """Follow the robot to the wheel angles (2,) [rad], which it reached by a turn, a straight line or an arc."""
         arc_m, turned = wheel_motion(wheel_angle - self._angle, self._body)
@@ -40,7 +50,7 @@ class Visits:
         self._driven_m += abs(arc_m)
         self._angle = wheel_angle
 
-    def pass_over(self, wheel_angle: np.ndarray) -> None:
+    def pass_over(self, wheel_angle: np.ndarray, images: np.ndarray | None = None, touched: bool = False) -> None:
         """Follow the robot along a straight segment to the wheel angles (2,) [rad], and note what it passed over."""
         start, start_m = self._place, self._driven_m
         self.move(wheel_angle)
@@ -85,6 +95,8 @@ class Visits:
 
     def set_state(self, state: dict[str, np.ndarray]) -> None:
         """Restore the arrays of ``state``; others are not read."""
+        if "visit_angle" not in state:  # a drive with random headings may have begun before there were visits
+            return
         self._angle = state["visit_angle"]
         *place, self._driven_m = state["visit_pose"].tolist()
         self._place = np.array(place)
@@ -153,26 +165,45 @@ class DriveMode(NamedTuple):
     """Side of the gap to enter, or side to search: 1 left, -1 right."""
 
 
+class Course(NamedTuple):
+    """Where the next segment goes."""
+
+    turn_rad: float = 0.0  # Angle to turn, to the left [rad]
+    sense: float = 0.0  # Direction to turn on in if that is not clear; 0: the same
+    further_rad: float = EXTRA_TURN_RAD  # How far to turn past what blocks, at most [rad]
+    length_m: float = math.inf  # How far to go, at most [m]
+    stop_m: float = STOP_DISTANCE_M  # Distance to leave ahead of the body [m]
+
+
+class Planner(Protocol):
+    """Says where the next segment goes, and follows the robot by its wheel angles (2,) [rad] and what it sees."""
+
+    def choose(self, robot: Robot, settings: DriveSettings, rng: np.random.Generator, mode: DriveMode) -> Course: ...
+    def watch(self, robot: Robot, travelled_m: float) -> None: ...
+    def move(self, wheel_angle: np.ndarray) -> None: ...
+    def pass_over(self, wheel_angle: np.ndarray, images: np.ndarray, touched: bool) -> None: ...
+    def forget(self) -> None: ...
+    def state(self) -> dict[str, np.ndarray]: ...
+    def set_state(self, state: dict[str, np.ndarray]) -> None: ...
+
+
 def turn_to_clear(
-    robot: Robot, settings: DriveSettings, rng: np.random.Generator, mode: DriveMode, visits: Visits
-) -> float | None:
-    """Turn as the mode says, then on until enough is clear ahead.
+    robot: Robot, settings: DriveSettings, rng: np.random.Generator, mode: DriveMode, planner: Planner
+) -> Course | None:
+    """Turn to where the planner says, then on until enough is clear ahead.
 
-    Returns the distance to leave ahead of the body [m]: STOP_DISTANCE_M, or less if a full turn found nothing clear;
-    None if no heading is clear even then.
+    Returns the course, with less to leave ahead of the body if a full turn found nothing clear; None if no heading is
+    clear even then.
     """
-    angle, sense, further_rad = _aim(robot, settings, rng, mode, visits)
-    turn(robot, angle)
-    stop_m = _turn_on(robot, settings, rng, sense, further_rad)
-    visits.move(robot.wheel_angle())
-    return stop_m
+    course = planner.choose(robot, settings, rng, mode)
+    turn(robot, course.turn_rad)
+    stop_m = _turn_on(robot, rng, course)
+    planner.move(robot.wheel_angle())
+    return None if stop_m is None else course._replace(stop_m=stop_m)
 
 
-def _turn_on(
-    robot: Robot, settings: DriveSettings, rng: np.random.Generator, sense: float, further_rad: float
-) -> float | None:
-    """Turn on in this direction to where enough is clear, and up to ``further_rad`` past it; returns what
-    ``turn_to_clear`` does."""
+def _turn_on(robot: Robot, rng: np.random.Generator, course: Course) -> float | None:
+    """Turn on to where enough is clear, and a little past it; returns the distance to leave ahead [m], if any."""
     for share in CLEARANCE_SHARES:
         enough_m, stop_m = MIN_CLEARANCE_M * share, STOP_DISTANCE_M * share
         # The range of clear headings may be smaller than the overshoot of a fast turn: each try turns more slowly and
@@ -180,7 +211,7 @@ def _turn_on(
         for caution in TURN_RATE_SHARES:
             if look(robot, REACH_M) - stop_m >= enough_m:
                 return stop_m
-            further = sense * rng.uniform(0.0, further_rad) * caution
+            further = (course.sense or np.sign(course.turn_rad)) * rng.uniform(0.0, course.further_rad) * caution
             if not turn(robot, further, until_clear_m=enough_m + stop_m, caution=caution):
                 break
     return None
@@ -201,16 +232,6 @@ def is_staler_aside(robot: Robot, visits: Visits, side: int, travelled_m: float,
     if aside_m < MIN_CLEARANCE_M:
         return False
     return visits.staleness(aside, aside_m, travelled_m) > visits.staleness(0.0, ahead_m, travelled_m)
-
-
-def _aim(
-    robot: Robot, settings: DriveSettings, rng: np.random.Generator, mode: DriveMode, visits: Visits
-) -> tuple[float, float, float]:
-    """Angle to turn [rad], direction to turn on in if that is not clear, and how far to turn past what blocks [rad]."""
-    if mode.kind == "search":
-        return mode.side * SEARCH_TURN_RAD, -mode.side, SEARCH_EXTRA_TURN_RAD
-    angle = mode.side * np.pi / 2 if mode.kind == "enter" else _choose_heading(robot, settings, rng, visits)
-    return angle, np.sign(angle), EXTRA_TURN_RAD
 
 
 def _choose_heading(robot: Robot, settings: DriveSettings, rng: np.random.Generator, visits: Visits) -> float:

@@ -101,14 +101,17 @@ class DriveSettings(Group):
     turn_images: bool = True
     """Whether the robot takes a second image after each turn in place, from which the angle turned is measured; these
     are not counted in samples."""
-    headings: Literal["explore", "random"] = "explore"
+    headings: Literal["explore", "random", "map", "frontier"] = "explore"
     """explore: of twelve random headings the robot takes the one over the floor that it visited longest ago, by its
-    wheels; random: it takes any heading, as in the paper."""
+    wheels; random: it takes any heading, as in the paper; map: it draws a map of its own from its range rays, and goes
+    to floor that it took no image near, then to floor that it passed least often; frontier: by the same map, to the
+    nearest floor beside what is not known yet, else anywhere."""
     enter: float = Field(default=0.2, ge=0.0, le=1.0)
     """Probability of turning into an opening that the robot passes. A robot that explores always turns into an opening
-    if it visited the floor behind it longer ago than the floor ahead."""
+    if it visited the floor behind it longer ago than the floor ahead; one with a map needs no chance."""
     search: float = Field(default=0.05, ge=0.0, le=1.0)
-    """Probability, after a segment, of searching one side for a while for places that random driving would miss."""
+    """Probability, after a segment, of searching one side for a while for places that random driving would miss; 0 for
+    a robot with a map."""
     mixed_light: bool = False
     """Whether the light changes during the training drive, at the first end of a segment after every 256 images: as
     usual, little daylight, lamps off, night."""

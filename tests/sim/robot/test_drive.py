@@ -10,7 +10,7 @@ from deepgps.evaluation.measures import find_seen
 from sim.errors import WorkError
 from sim.robot.drive import TOUCH_ENDINGS, UNCERTAIN_DISTANCE_M, Segment, _go_straight, drive
 from sim.robot.drive import next_segment as drive_segment
-from sim.robot.headings import STOP_DISTANCE_M, DriveMode, Visits
+from sim.robot.headings import STOP_DISTANCE_M, Course, DriveMode, Visits
 from sim.robot.model import BURGER, CONTROL_PERIOD_S, RADIUS_M, TRACK_M, WHEEL_RADIUS_M
 from sim.robot.motion import drive_arc
 from sim.robot.range_finder import ANGLE
@@ -338,7 +338,7 @@ def test_turns_into_an_opening_that_it_passes():
     world = make_world(cupboard(0.3), (-1.5, -0.2, 0.0), enter=1.0)
     settings, rng = world.settings.drive, np.random.default_rng(SEED)
     visits = Visits(world.body, world.wheel_angle())
-    past = _go_straight(world, settings, rng, STOP_DISTANCE_M, DriveMode(), visits)
+    past = _go_straight(world, settings, rng, Course(), DriveMode(), visits)
     assert past.ended == "gap"
     assert past.mode == DriveMode(True, "enter", 1)
     assert past.pose[-1, 0] == pytest.approx(0.0, abs=0.08)

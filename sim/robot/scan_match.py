@@ -1,0 +1,57 @@
+"""Where the robot is, by its rays: the pose near a guess from which a scan meets what stands on its map.
+
+Wheel angles tell the pose to a millimetre until wheels slip, as when the robot frees itself from between two legs.
+"""
+
+import cv2
+import numpy as np
+
+from sim.robot.grid_map import CELL_M, GridMap, Scan
+
+BLUR_M = 0.15  # A point farther than this from all that stands on the map agrees with nothing [m]
+UNKNOWN_AGREEMENT = 0.5  # A point where nothing is known yet agrees by this
+RIGHT_AGREEMENT, ENOUGH_AGREEMENT = 0.95, 0.85
+"""With the first the pose by the wheels is right, with the second no pose is looked for farther away."""
+BETTER_BY, BETTER_IN_DOUBT_BY = 0.1, 0.02
+"""A pose replaces that by the wheels if it agrees better by this: usually, and after a contact."""
+SEARCHES = ((2.0, 3, 0.05, 3), (3.0, 60, 0.1, 6))
+"""Steps of a search [deg], how many to either side, steps along x and y [m], how many."""
+FINE_SEARCH = (0.5, 4, 0.02, 3)
+FEWEST_POINTS, MOST_POINTS = 20, 90  # Points of a scan that are compared
+
+
+def match(grid: GridMap, pose: np.ndarray, seen: Scan, doubtful: bool) -> np.ndarray:
+    """The pose (3,) x, y [m], heading [rad] of a scan: that by the wheels, unless another agrees better."""
+    point = seen.points(np.zeros(3))
+    point, field, best = point[:: 1 + len(point) // MOST_POINTS], _find_agreement(grid), pose
+    by_wheels = found = _agree(field, grid, pose[None], point)[0] if len(point) >= FEWEST_POINTS else np.inf
+    for coarse in SEARCHES if by_wheels < RIGHT_AGREEMENT else ():
+        for search in (coarse, FINE_SEARCH):
+            tried = (pose if search is coarse else best) + _lay_around(*search)
+            agreement = _agree(field, grid, tried, point)
+            if agreement.max() > found:
+                best, found = tried[agreement.argmax()], agreement.max()
+        if found >= ENOUGH_AGREEMENT:
+            break
+    return best if found > by_wheels + (BETTER_IN_DOUBT_BY if doubtful else BETTER_BY) else pose
+
+
+def _lay_around(turn_deg: float, turns: int, step_m: float, steps: int) -> np.ndarray:
+    aside, turned = np.arange(-steps, steps + 1) * step_m, np.arange(-turns, turns + 1) * np.radians(turn_deg)
+    return np.stack(np.meshgrid(aside, aside, turned, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def _find_agreement(grid: GridMap) -> np.ndarray:
+    """How well a point agrees with the map in each cell of its box: from 1 where something stands to 0."""
+    seen = grid.seen[grid.box]
+    away = cv2.distanceTransform((seen <= 0).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
+    return np.maximum(1.0 - away * (CELL_M / BLUR_M), np.where(seen == 0, UNKNOWN_AGREEMENT, 0.0)).astype(np.float32)
+
+
+def _agree(field: np.ndarray, grid: GridMap, poses: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """Mean agreement (n,) with the map of points (m, 2) [m] in the frame of a robot at poses (n, 3)."""
+    (cos, sin), (x, y) = np.float32((np.cos(poses[:, 2:]), np.sin(poses[:, 2:]))), np.float32(point.T)
+    at_x, at_y = np.float32(poses[:, :2] - grid.corner_m).T[..., None]
+    column = ((at_x + cos * x - sin * y) / CELL_M).astype(np.int32)
+    row = ((at_y + sin * x + cos * y) / CELL_M).astype(np.int32)
+    return field[row.clip(0, len(field) - 1), column.clip(0, field.shape[1] - 1)].mean(axis=1)
