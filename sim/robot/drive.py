@@ -119,8 +119,7 @@ def next_segment(
             mode, after_arc = mode._replace(continues=False), True
             continue
         segment = _go_straight(robot, settings, rng, course, mode, planner)
-        touched = segment.ended in TOUCH_ENDINGS
-        planner.pass_over(robot.wheel_angle(), segment.wheel_angle, touched)
+        planner.pass_over(robot.wheel_angle(), segment.wheel_angle, touched := segment.ended in TOUCH_ENDINGS)
         if touched:
             _back_off(robot, planner)
         dropped += segment.dropped

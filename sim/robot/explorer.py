@@ -21,10 +21,10 @@ from sim.settings import DriveSettings
 
 SCAN_SPACING_M = 0.5  # Distance driven between two scans [m]
 HEADINGS, HEADINGS_TRIED = 128, 12  # Headings compared on the map, and the best of these along which the robot looks
-ASIDE_RAD = np.radians((0.0, 1.0, -1.0, 2.0, -2.0))  # It also looks beside them, to get through an opening [rad]
+OFFSETS_RAD = np.radians((0.0, 1.0, -1.0, 2.0, -2.0))  # It also looks beside them, to get through an opening [rad]
 CLEAR_SHARE = 0.6  # A heading is taken if this share of the length by the map is clear
-FREE_M = 0.15  # Nearer than this, the floor is free whatever the map says [m]
-SHORTEST_M, LONGEST_M = 0.2, 5.0  # Shortest and longest segment that is aimed at [m]
+START_RADIUS_M = 0.15  # Nearer than this, the floor is free whatever the map says [m]
+MIN_LENGTH_M, MAX_LENGTH_M = 0.2, 5.0  # Shortest and longest segment that is aimed at [m]
 GOAL_M = 0.3  # A goal is reached from this distance [m]
 LEAST_PASSED_SHARE = 0.1  # Share of the floor that counts as passed by the fewest segments
 SWATH_CELLS = round(2 * SWATH_M / FLOOR_CELL_M)
@@ -34,10 +34,7 @@ SMALLEST_PART_M2 = 0.05  # Smaller parts of the floor are not reported [m2]
 
 
 class Explorer:
-    """Goes to floor that no image is near, then to floor that the fewest segments passed.
-
-    It knows its pose by its wheels, and by its rays after they slipped.
-    """
+    """Goes to floor that no image is near, then to floor that the fewest segments passed."""
 
     goal_worth_m = 0.02  # A goal is worth as much as this length of new floor on the way to it [m]
 
@@ -52,10 +49,10 @@ class Explorer:
         floor, first_rad = self._grid.read_floor(self._body.radius_m), rng.uniform(-np.pi, np.pi)
         turned = first_rad + 2 * np.pi * np.arange(HEADINGS) / HEADINGS
         for goals in self._list_goals(floor) if self._failed < MOST_FAILED else ():
-            value, end, length_m = self._compare(floor, goals, turned, min(settings.longest_m, LONGEST_M))
+            value, end, length_m = self._compare(floor, goals, turned, min(settings.longest_m, MAX_LENGTH_M))
             for best in np.argsort(-value, kind="stable")[:HEADINGS_TRIED]:
-                clear_m = max(CLEAR_SHARE * min(length_m[best], REACH_M), SHORTEST_M) + STOP_DISTANCE_M
-                for angle in turned[best] + ASIDE_RAD if value[best] > 0.0 else ():
+                clear_m = max(CLEAR_SHARE * min(length_m[best], REACH_M), MIN_LENGTH_M) + STOP_DISTANCE_M
+                for angle in turned[best] + OFFSETS_RAD if value[best] > 0.0 else ():
                     if look(robot, REACH_M, angle) >= clear_m:
                         goal = floor.places(goals)[np.hypot(*(floor.places(goals) - end[best]).T).argmin()]
                         self._aims = np.vstack([self._aims, goal])[-AIMS:]
@@ -96,20 +93,23 @@ class Explorer:
     def unreached(self) -> np.ndarray:
         """Floor that the robot saw and where it fits, but did not get to: places and areas (n, 3) [m, m, m2]."""
         floor = self._grid.read_floor(self._body.radius_m)
-        new = (floor.fits & (floor.passes == 0)).astype(np.uint8)
-        stats, middle = cv2.connectedComponentsWithStats(new)[2:]
+        stats, middle = cv2.connectedComponentsWithStats(np.uint8(floor.fits & (floor.passes == 0)))[2:]
         area = stats[:, cv2.CC_STAT_AREA, None] * FLOOR_CELL_M**2
         parts = np.hstack([floor.corner_m + (middle + 0.5) * FLOOR_CELL_M, area])[1:]
         return parts[parts[:, 2] >= SMALLEST_PART_M2]
 
     def state(self) -> dict[str, np.ndarray]:
         """Arrays from which ``set_state`` restores everything."""
-        own = {"map_angle": self._angle, "map_pose": self._pose, "map_aims": self._aims, "unreached": self.unreached()}
-        return own | {"map_failed": np.array((self._failed, self._doubtful))} | self._grid.state()
+        own, grid = {"angle": self._angle, "pose": self._pose, "aims": self._aims}, self._grid
+        own |= {"failed": np.array((self._failed, self._doubtful)), "box": np.stack([grid.low, grid.high])}
+        own |= {"seen": grid.seen[grid.box], "passes": grid.passes[grid.box]}
+        return {f"map_{name}": part for name, part in own.items()} | {"unreached": self.unreached()}
 
     def set_state(self, state: dict[str, np.ndarray]) -> None:
         """Restore the arrays of ``state``; others are not read."""
-        self._grid.set_state(state)
+        grid = self._grid
+        grid.low, grid.high = state["map_box"]
+        grid.seen[grid.box], grid.passes[grid.box] = state["map_seen"], state["map_passes"]
         self._angle, self._pose, self._aims = (state[f"map_{name}"] for name in ("angle", "pose", "aims"))
         self._failed, self._doubtful = state["map_failed"].tolist()
 
@@ -137,11 +137,11 @@ class Explorer:
         along = np.arange(FLOOR_CELL_M, longest_m + 1e-9, FLOOR_CELL_M)
         place = go(self._pose, turned[:, None], along)
         row, column, inside = floor.find(place)
-        clear = np.logical_and.accumulate(inside & (floor.fits[row, column] | (along < FREE_M)), axis=1)
+        clear = np.logical_and.accumulate(inside & (floor.fits[row, column] | (along < START_RADIUS_M)), axis=1)
         new_m = _count_near(goals)[row, column].cumsum(axis=1) * (FLOOR_CELL_M / SWATH_CELLS**2)
         rest_m = floor.way(goals)[row, column]
         cost_m = START_COST_M * (1.0 + (rest_m > GOAL_M)) + along + rest_m
-        value = np.where(clear & (along >= SHORTEST_M), (self.goal_worth_m + new_m) / cost_m, 0.0)
+        value = np.where(clear & (along >= MIN_LENGTH_M), (self.goal_worth_m + new_m) / cost_m, 0.0)
         best = np.arange(len(turned)), value.argmax(axis=1)
         return value[best], place[best], along[best[1]]
 

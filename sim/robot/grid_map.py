@@ -14,10 +14,10 @@ from sim.robot.range_finder import REACH_M, lay_fan
 CELL_M, CELLS = 0.025, 2560  # Side of a cell [m], and cells along each side of the grid, which ends 32 m from the start
 LOOKS = 9  # Headings at which the fans look along for a scan all around
 MARGIN_M = 0.04  # Floor this near to what a ray met is not marked as free [m]
-NEARBY_M = 1.0  # Nearer than this, hardly an obstacle fits between two rays of a scan [m]
-MEETING, MOST_MEETINGS, TOUCHED = 3, 9, 30
+ERASING_RADIUS_M = 1.0  # Nearer than this, hardly an obstacle fits between two rays of a scan [m]
+MEETING, MOST_MEETINGS, CONTACT = 3, 9, 30
 """What was met once, often, or touched is forgotten after so many scans from nearby that do not meet it."""
-TOUCHED_RAD = 0.6  # What was touched is within this angle of straight ahead [rad]
+CONTACT_RAD = 0.6  # What was touched is within this angle of straight ahead [rad]
 SWATH_M = 0.225  # Floor this near to a segment is within 0.25 m of an image [m]
 DRAWN_BITS = 6  # OpenCV draws to this fraction of a cell
 FLOOR_CELL_M = 2 * CELL_M
@@ -84,16 +84,12 @@ class Floor(NamedTuple):
 
 
 class GridMap:
-    """The cells of the floor, rows along y and columns along x.
-
-    Attributes:
-        seen: int8, positive where something stands, -1 where nothing does, 0 where no ray was.
-        passes: uint16, how many segments passed within SWATH_M.
-        low, high: What is in use, from one column and row (2,) to before another, in even numbers.
-    """
+    """The cells of the floor, rows along y and columns along x."""
 
     def __init__(self) -> None:
+        # Positive where something stands, -1 where nothing does, 0 where no ray was; how many segments passed
         self.seen, self.passes = np.zeros((CELLS, CELLS), np.int8), np.zeros((CELLS, CELLS), np.uint16)
+        # What is in use, from one column and row to before another, in even numbers
         self.low, self.high = np.full(2, CELLS // 2), np.full(2, CELLS // 2 + 2)
 
     @property
@@ -112,7 +108,7 @@ class GridMap:
         cells, both = self.seen[box], np.stack([seen.angle, np.roll(seen.angle, -1)], axis=-1).ravel()
         free_m = np.maximum(np.minimum(seen.length, np.roll(seen.length, -1)) - MARGIN_M, 0.0).repeat(2)
         far, near = np.zeros((2, *cells.shape), np.uint8)
-        for mask, most_m in ((far, REACH_M), (near, NEARBY_M)):
+        for mask, most_m in ((far, REACH_M), (near, ERASING_RADIUS_M)):
             cv2.fillPoly(mask, [_draw(go(pose, both, np.minimum(free_m, most_m)), box)], 1, shift=DRAWN_BITS)
         cells[(far > 0) & (cells == 0)] = -1
         cells[(near > 0) & (cells > 0)] -= 1
@@ -121,8 +117,8 @@ class GridMap:
 
     def touch(self, pose: np.ndarray, radius_m: float) -> None:
         """Mark what a robot of a radius [m] touched at a pose (3,): something before it that its rays do not see."""
-        ahead = np.linspace(-TOUCHED_RAD, TOUCHED_RAD, 9)
-        self.seen[find(go(pose, ahead, radius_m + CELL_M))] = TOUCHED
+        ahead = np.linspace(-CONTACT_RAD, CONTACT_RAD, 9)
+        self.seen[find(go(pose, ahead, radius_m + CELL_M))] = CONTACT
 
     def pass_over(self, start: np.ndarray, end: np.ndarray) -> None:
         """Note a segment from one place to another (2,) [m]."""
@@ -138,16 +134,6 @@ class GridMap:
         fits = (seen < 0) & (away * CELL_M > radius_m - TOLERANCE_M)
         edge = cv2.dilate(_join(seen == 0).astype(np.uint8), SQUARE) > 0
         return Floor(self.corner_m, _join(fits), edge, self.passes[self.box][::2, ::2])
-
-    def state(self) -> dict[str, np.ndarray]:
-        """Arrays from which ``set_state`` restores everything."""
-        box = np.stack([self.low, self.high])
-        return {"map_box": box, "map_seen": self.seen[self.box], "map_passes": self.passes[self.box]}
-
-    def set_state(self, state: dict[str, np.ndarray]) -> None:
-        """Restore the arrays of ``state``; others are not read."""
-        self.low, self.high = state["map_box"]
-        self.seen[self.box], self.passes[self.box] = state["map_seen"], state["map_passes"]
 
     def _use(self, low_m: np.ndarray, high_m: np.ndarray) -> tuple[slice, slice]:
         """Rows and columns between two corners (2,) [m], and a few more, which are in use from now on."""

@@ -35,8 +35,7 @@ class Visits:
         """Where the next segment goes: as the mode says, or over the floor that was visited longest ago."""
         if mode.kind == "search":
             return Course(mode.side * SEARCH_TURN_RAD, -mode.side, SEARCH_EXTRA_TURN_RAD)
-        angle = mode.side * np.pi / 2 if mode.kind == "enter" else _choose_heading(robot, settings, rng, self)
-        return Course(angle)
+        return Course(mode.side * np.pi / 2 if mode.kind == "enter" else _choose_heading(robot, settings, rng, self))
 
     def watch(self, robot: Robot, travelled_m: float) -> None:
         """What is seen on the way tells nothing of visits."""

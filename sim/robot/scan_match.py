@@ -12,8 +12,7 @@ BLUR_M = 0.15  # A point farther than this from all that stands on the map agree
 UNKNOWN_AGREEMENT = 0.5  # A point where nothing is known yet agrees by this
 RIGHT_AGREEMENT, ENOUGH_AGREEMENT = 0.95, 0.85
 """With the first the pose by the wheels is right, with the second no pose is looked for farther away."""
-BETTER_BY, BETTER_IN_DOUBT_BY = 0.1, 0.02
-"""A pose replaces that by the wheels if it agrees better by this: usually, and after a contact."""
+BETTER_BY, BETTER_IN_DOUBT_BY = 0.1, 0.02  # A pose that agrees better by this replaces that by the wheels
 SEARCHES = ((2.0, 3, 0.05, 3), (3.0, 60, 0.1, 6))
 """Steps of a search [deg], how many to either side, steps along x and y [m], how many."""
 FINE_SEARCH = (0.5, 4, 0.02, 3)

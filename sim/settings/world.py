@@ -110,8 +110,7 @@ class DriveSettings(Group):
     """Probability of turning into an opening that the robot passes. A robot that explores always turns into an opening
     if it visited the floor behind it longer ago than the floor ahead; one with a map needs no chance."""
     search: float = Field(default=0.05, ge=0.0, le=1.0)
-    """Probability, after a segment, of searching one side for a while for places that random driving would miss; 0 for
-    a robot with a map."""
+    """Probability, after a segment, of searching one side for a while for places that random driving would miss."""
     mixed_light: bool = False
     """Whether the light changes during the training drive, at the first end of a segment after every 256 images: as
     usual, little daylight, lamps off, night."""
