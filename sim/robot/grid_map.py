@@ -132,8 +132,11 @@ class GridMap:
         seen = self.seen[self.box]
         away = cv2.distanceTransform((seen <= 0).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
         fits = (seen < 0) & (away * CELL_M > radius_m - TOLERANCE_M)
-        edge = cv2.dilate(_join(seen == 0).astype(np.uint8), SQUARE) > 0
-        return Floor(self.corner_m, _join(fits), edge, self.passes[self.box][::2, ::2])
+        fits, unknown = (
+            cells[::2, ::2] | cells[1::2, ::2] | cells[::2, 1::2] | cells[1::2, 1::2] for cells in (fits, seen == 0)
+        )
+        edge = cv2.dilate(unknown.astype(np.uint8), SQUARE) > 0
+        return Floor(self.corner_m, fits, edge, self.passes[self.box][::2, ::2])
 
     def _use(self, low_m: np.ndarray, high_m: np.ndarray) -> tuple[slice, slice]:
         """Rows and columns between two corners (2,) [m], and a few more, which are in use from now on."""
@@ -153,7 +156,3 @@ def _draw(place: np.ndarray, box: tuple[slice, slice]) -> np.ndarray:
     """Places (n, 2) [m] in a box, as OpenCV takes them: whole numbers are at the middles of cells."""
     pixel = place / CELL_M + (CELLS // 2 - box[1].start - 0.5, CELLS // 2 - box[0].start - 0.5)
     return np.rint(pixel * 2**DRAWN_BITS).astype(np.int32)
-
-
-def _join(cells: np.ndarray) -> np.ndarray:
-    return cells[::2, ::2] | cells[1::2, ::2] | cells[::2, 1::2] | cells[1::2, 1::2]

@@ -26,18 +26,16 @@ def match(grid: GridMap, pose: np.ndarray, seen: Scan, doubtful: bool) -> np.nda
     by_wheels = found = _agree(field, grid, pose[None], point)[0] if len(point) >= FEWEST_POINTS else np.inf
     for coarse in SEARCHES if by_wheels < RIGHT_AGREEMENT else ():
         for search in (coarse, FINE_SEARCH):
-            tried = (pose if search is coarse else best) + _lay_around(*search)
+            turn_deg, turns, step_m, steps = search
+            aside, turned = np.arange(-steps, steps + 1) * step_m, np.arange(-turns, turns + 1) * np.radians(turn_deg)
+            around = np.stack(np.meshgrid(aside, aside, turned, indexing="ij"), axis=-1).reshape(-1, 3)
+            tried = (pose if search is coarse else best) + around
             agreement = _agree(field, grid, tried, point)
             if agreement.max() > found:
                 best, found = tried[agreement.argmax()], agreement.max()
         if found >= ENOUGH_AGREEMENT:
             break
     return best if found > by_wheels + (BETTER_IN_DOUBT_BY if doubtful else BETTER_BY) else pose
-
-
-def _lay_around(turn_deg: float, turns: int, step_m: float, steps: int) -> np.ndarray:
-    aside, turned = np.arange(-steps, steps + 1) * step_m, np.arange(-turns, turns + 1) * np.radians(turn_deg)
-    return np.stack(np.meshgrid(aside, aside, turned, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 def _find_agreement(grid: GridMap) -> np.ndarray:
