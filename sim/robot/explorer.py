@@ -93,7 +93,7 @@ class Explorer:
     def unreached(self) -> np.ndarray:
         """Floor that the robot saw and where it fits, but did not get to: places and areas (n, 3) [m, m, m2]."""
         floor = self._grid.read_floor(self._body.radius_m)
-        stats, middle = cv2.connectedComponentsWithStats(np.uint8(floor.fits & (floor.passes == 0)))[2:]
+        stats, middle = cv2.connectedComponentsWithStats((floor.fits & (floor.passes == 0)).astype(np.uint8))[2:]
         area = stats[:, cv2.CC_STAT_AREA, None] * FLOOR_CELL_M**2
         parts = np.hstack([floor.corner_m + (middle + 0.5) * FLOOR_CELL_M, area])[1:]
         return parts[parts[:, 2] >= SMALLEST_PART_M2]
@@ -163,4 +163,5 @@ def make_planner(robot: Robot, settings: DriveSettings) -> Planner:
 
 def _count_near(marks: np.ndarray) -> np.ndarray:
     """Number of marks in a square of SWATH_CELLS about each cell."""
-    return cv2.boxFilter(np.float32(marks), -1, 2 * [SWATH_CELLS], normalize=False, borderType=cv2.BORDER_CONSTANT)
+    size = (SWATH_CELLS, SWATH_CELLS)
+    return cv2.boxFilter(marks.astype(np.float32), -1, size, normalize=False, borderType=cv2.BORDER_CONSTANT)

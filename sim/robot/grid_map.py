@@ -75,7 +75,7 @@ class Floor(NamedTuple):
         inside, reached = self.fits.astype(np.uint8), (goals & self.fits).astype(np.uint8)
         way = np.where(reached, 0.0, np.inf)
         for step in range(1, self.fits.size):
-            wider = cv2.dilate(reached, SQUARE if step % 2 else CROSS) & inside
+            wider = np.bitwise_and(cv2.dilate(reached, SQUARE if step % 2 else CROSS), inside)
             new = wider != reached
             if not new.any():
                 break
@@ -107,7 +107,7 @@ class GridMap:
         box = self._use(pose[:2] - REACH_M, pose[:2] + REACH_M)
         cells, both = self.seen[box], np.stack([seen.angle, np.roll(seen.angle, -1)], axis=-1).ravel()
         free_m = np.maximum(np.minimum(seen.length, np.roll(seen.length, -1)) - MARGIN_M, 0.0).repeat(2)
-        far, near = np.zeros((2, *cells.shape), np.uint8)
+        far, near = np.zeros(cells.shape, np.uint8), np.zeros(cells.shape, np.uint8)
         for mask, most_m in ((far, REACH_M), (near, ERASING_RADIUS_M)):
             cv2.fillPoly(mask, [_draw(go(pose, both, np.minimum(free_m, most_m)), box)], 1, shift=DRAWN_BITS)
         cells[(far > 0) & (cells == 0)] = -1

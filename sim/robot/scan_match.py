@@ -47,8 +47,9 @@ def _find_agreement(grid: GridMap) -> np.ndarray:
 
 def _agree(field: np.ndarray, grid: GridMap, poses: np.ndarray, point: np.ndarray) -> np.ndarray:
     """Mean agreement (n,) with the map of points (m, 2) [m] in the frame of a robot at poses (n, 3)."""
-    (cos, sin), (x, y) = np.float32((np.cos(poses[:, 2:]), np.sin(poses[:, 2:]))), np.float32(point.T)
-    at_x, at_y = np.float32(poses[:, :2] - grid.corner_m).T[..., None]
+    cos, sin = (part(poses[:, 2:]).astype(np.float32) for part in (np.cos, np.sin))
+    x, y = point.T.astype(np.float32)
+    at_x, at_y = (poses[:, :2] - grid.corner_m).astype(np.float32).T[..., None]
     column = ((at_x + cos * x - sin * y) / CELL_M).astype(np.int32)
     row = ((at_y + sin * x + cos * y) / CELL_M).astype(np.int32)
     return field[row.clip(0, len(field) - 1), column.clip(0, field.shape[1] - 1)].mean(axis=1)

@@ -62,7 +62,9 @@ def test_cells_agree_with_the_floor_up_to_a_cell(room):
     world = make_world(room())
     planner, _ = explore(world, 8)
     floor, space = planner._grid.read_floor(world.body.radius_m), world.free_space
-    blocked_m, free_m = (ndimage.distance_transform_edt(cells) * space.cell_m for cells in (space.free, ~space.free))
+    blocked_m, free_m = (
+        np.asarray(ndimage.distance_transform_edt(cells)) * space.cell_m for cells in (space.free, ~space.free)
+    )
     places = to_room(floor.places(floor.fits))
     column, row = np.rint((places - space.origin) / space.cell_m).astype(int).T
     assert free_m[row, column].max() < FLOOR_CELL_M
