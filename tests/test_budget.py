@@ -7,7 +7,7 @@ ROOT = Path(__file__).parents[1]
 LIMITS = {
     "lines of sim and deepgps": 41_744,
     "files of sim and deepgps": 287,
-    "lines of tests": 28_844,
+    "lines of tests": 28_851,
     "Python files directly in deepgps": 2,
     "words of decisions": 6_030,
     "words of all other pages by hand": 19_870,

@@ -79,8 +79,8 @@ def import_command(words: Sequence[str]) -> None:
     with show_progress(errors) as progress:
         about = import_log(arguments.log, config, arguments.out, progress, sha256(arguments.config))
     say(write_summary(about))
-    method = " --methods deepgps_compass" if about["turns_seen"] else ""
-    say(f"\nimported: {arguments.out}; train on it: deepgps run {quote_path(arguments.out)}{method}")
+    method = "registration" if about["turns_seen"] else "registration_distances"
+    say(f"\nimported: {arguments.out}; train on it: deepgps run {quote_path(arguments.out)} --methods {method}")
 
 
 @dataclass(frozen=True)
