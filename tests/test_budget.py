@@ -5,12 +5,12 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "lines of sim and deepgps": 41_744,
+    "lines of sim and deepgps": 41_761,
     "files of sim and deepgps": 287,
-    "lines of tests": 28_851,
+    "lines of tests": 28_869,
     "Python files directly in deepgps": 2,
-    "words of decisions": 6_030,
-    "words of all other pages by hand": 19_870,
+    "words of decisions": 6_100,
+    "words of all other pages by hand": 19_918,
     "words of the reference that the code does not say": 3_346,
     "words of published results": 8_000,
 }

@@ -96,7 +96,16 @@ def compare_images(recording: Recording, turns: Turns | None = None, trained: Up
             break
     else:  # the lean has changed since
         seen = find_turns(upright(before), upright(after), lens)
-    return SeenTurns(seen, upright)
+    return SeenTurns(seen, replace(upright, wobble=find_wobble(seen.lean[some, 0])))
+
+
+def find_wobble(relative: np.ndarray) -> float:
+    """Standard deviation of a lean along each axis [rad] by relative leans of pairs (n, 2): twice its variance.
+
+    A few pairs are wrong, hence the median.
+    """
+    squared = np.square(relative[np.isfinite(relative[:, 0])]).sum(axis=1)
+    return float(np.sqrt(np.median(squared) / (4.0 * np.log(2.0)))) if len(squared) else 0.0
 
 
 def _find_lean(hypotheses: Hypotheses) -> np.ndarray:
@@ -112,10 +121,10 @@ def ignore_small(upright: Upright) -> Upright:
     return replace(upright, lean=(0.0, 0.0)) if np.linalg.norm(upright.lean) <= MIN_LEAN_RAD else upright
 
 
-def adapt_upright(trained: Upright, drive: Recording) -> tuple[Upright, tuple[float, float] | None]:
+def adapt_upright(trained: Upright, drive: Recording) -> tuple[Upright, Upright | None]:
     """What sets the images of a deployment drive upright, whose camera may have been knocked since training.
 
-    That of training, unless the lean has changed by more than ``MIN_LEAN_RAD``; and the lean in deployment (2,) [rad],
+    That of training, unless the lean has changed by more than ``MIN_LEAN_RAD``; and what is measured in deployment,
     None where the drive has fewer than ``LAST_TURNS`` turns in place.
     """
     turns = turns_with_images(drive)
@@ -123,13 +132,13 @@ def adapt_upright(trained: Upright, drive: Recording) -> tuple[Upright, tuple[fl
         return trained, None
     found = compare_images(drive, from_array(turns.array[last]), trained).upright
     changed = np.linalg.norm(np.subtract(found.lean, trained.lean)) > MIN_LEAN_RAD
-    return (found if changed else trained), found.lean
+    return (found if changed else trained), found
 
 
-def describe_lean(lean: tuple[float, float]) -> dict[str, float]:
-    """Entries for ``training.json`` and ``metrics.json`` of a lean (2,) [rad]."""
-    roll, pitch = np.degrees(lean)
-    return {"lean_roll_deg": round(float(roll), 4), "lean_pitch_deg": round(float(pitch), 4)}
+def describe_lean(measured: Upright) -> dict[str, float]:
+    """Entries for ``training.json`` and ``metrics.json`` of how a camera leans."""
+    roll, pitch, wobble = np.degrees((*measured.lean, measured.wobble)).round(4).tolist()
+    return {"lean_roll_deg": roll, "lean_pitch_deg": pitch, "wobble_deg": wobble}
 
 
 WHEEL_TURN_STD_RAD, PUSHED_TURN_STD_RAD = 0.3, 1.5

@@ -32,8 +32,8 @@ def adapt(positioner: Positioner, drive: Recording | None) -> tuple[Positioner, 
     """
     if drive is None or not isinstance(positioner, FeaturePositioner) or positioner.upright is None:
         return positioner, {}
-    upright, lean = adapt_upright(positioner.upright, drive)
-    return replace(positioner, upright=upright), {} if lean is None else describe_lean(lean)
+    upright, measured = adapt_upright(positioner.upright, drive)
+    return replace(positioner, upright=upright), {} if measured is None else describe_lean(measured)
 
 
 def measure_deployment(positioner: Positioner, alignment: Alignment, drive: Recording, folder: Path) -> ErrorField:

@@ -54,7 +54,7 @@ def map_by_compass(
     found = refine_map(data, found, keep_chosen, lambda one, factors: refine(one, factors, rng))
     write_map(folder, found, data.segments, turns)
     progress("compass: initial map", 1, 1)
-    return data, found, {**describe_lean(turns.upright.lean), "map": describe_map(found), **record}
+    return data, found, {**describe_lean(turns.upright), "map": describe_map(found), **record}
 
 
 def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:

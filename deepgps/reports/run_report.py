@@ -32,7 +32,7 @@ COLUMNS: tuple[Column, ...] = (
     ("train [s]", "train_s", lambda value: f"{value:.1f}"),
 )
 """Columns of the table, which fits into 80 columns of a terminal."""
-MIN_LEAN_DEG = 0.1  # Smallest lean of the camera that is reported [deg]
+MIN_LEAN_DEG, MIN_WOBBLE_DEG = 0.1, 0.3  # Smallest lean, and increase of the wobble, that are reported [deg]
 OVERVIEW = tuple(column for column in COLUMNS if column[1] in {"rms_m", "median_m", "max_m", "relative_rms"})
 
 
@@ -188,10 +188,14 @@ def _describe_leans(methods: Mapping[str, Any]) -> list[str]:
         for where, values in places.items()
         if "lean_roll_deg" in values
     }
-    if not any(max(map(abs, lean)) >= MIN_LEAN_DEG for lean in leans.values()):
-        return []
     parts = (f"{roll:.2f}° to the right and {pitch:.2f}° forward in {where}" for where, (roll, pitch) in leans.items())
-    return [f"By its turns, the camera leans {', '.join(parts)}."]
+    visible = any(max(map(abs, lean)) >= MIN_LEAN_DEG for lean in leans.values())
+    learned, deployed = (values.get("wobble_deg", 0.0) for values in places.values())
+    more = deployed > 2.0 * learned + MIN_WOBBLE_DEG
+    return [
+        *([f"By its turns, the camera leans {', '.join(parts)}."] if visible else []),
+        *([f"It wobbles by {deployed:.1f}°, in training by {learned:.1f}°: errors exceed the radii."] if more else []),
+    ]
 
 
 def _describe_deployment(metrics: Mapping[str, Any]) -> list[str]:

@@ -179,8 +179,8 @@ class Monitor:
         """What sets a drive's images upright, and the angle between its lean and that in training [rad]."""
         if self.upright is None:
             return None, None
-        upright, lean = adapt_upright(self.upright, drive)
-        return upright, None if lean is None else float(np.linalg.norm(np.subtract(lean, self.upright.lean)))
+        upright, measured = adapt_upright(self.upright, drive)
+        return upright, measured and float(np.linalg.norm(np.subtract(measured.lean, self.upright.lean)))
 
     def look(self, images: np.ndarray, moved: np.ndarray, found: Registered) -> Signs:
         """What each image shows by itself.

@@ -55,6 +55,8 @@ class Upright:
     lean: tuple[float, float]
     # Lean that turns seem to show besides, as the camera is off the turning axis [rad]; images show none
     parallax: tuple[float, float] = (0.0, 0.0)
+    # Standard deviation of single images' leans about it along each axis [rad]; it is not undone
+    wobble: float = 0.0
 
     def __call__(self, images: np.ndarray) -> np.ndarray:
         """Upright images (N, rings, sectors, channels) uint8 of a leaning camera's images of the same shape.

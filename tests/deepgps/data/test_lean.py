@@ -14,6 +14,7 @@ from deepgps.data.turns import (
     adapt_upright,
     compare_images,
     find_in_place,
+    find_wobble,
     ignore_small,
     measure_turns,
 )
@@ -78,9 +79,9 @@ def test_the_lean_of_training_and_that_in_deployment_are_found(leaning: Recordin
     upright = measure_turns(leaning).upright
     assert upright is not None and ignore_small(upright) == upright
     np.testing.assert_allclose(np.degrees(upright.lean), TRAINING_LEAN, atol=0.3)
-    adapted, deployed_lean = adapt_upright(upright, deployment)
-    assert deployed_lean is not None and adapted.lean == deployed_lean
-    np.testing.assert_allclose(np.degrees(deployed_lean), KNOCK, atol=0.6)
+    adapted, measured = adapt_upright(upright, deployment)
+    assert measured == adapted
+    np.testing.assert_allclose(np.degrees(adapted.lean), KNOCK, atol=0.6)
 
 
 @pytest.mark.slow
@@ -110,8 +111,23 @@ def test_a_camera_that_was_not_knocked_keeps_the_correction_of_training(
     monkeypatch.setattr("deepgps.data.turns.compare_images", lambda *_: seen)
     for off_deg, kept in ((0.05, True), (0.2, False)):
         upright = set_lean(lean + np.radians([off_deg, 0.0]))
-        adapted, deployed_lean = adapt_upright(upright, drive)
-        assert deployed_lean == seen.upright.lean and adapted == (upright if kept else seen.upright)
+        adapted, measured = adapt_upright(upright, drive)
+        assert measured == seen.upright and adapted == (upright if kept else seen.upright)
+
+
+def test_the_wobble_is_found_by_pairs_of_images_of_which_some_are_wrong():
+    rng = np.random.default_rng(0)
+    one, two = rng.normal(scale=0.02, size=(2, 400, 2))
+    relative = two - one
+    relative[:20] = 0.5
+    assert find_wobble(relative) == pytest.approx(0.02, rel=0.15)
+    assert find_wobble(np.full((3, 2), np.nan)) == 0.0
+
+
+def test_the_camera_of_a_level_floor_hardly_wobbles(small_recording: Path):
+    recording = open_recording(small_recording)
+    upright = compare_images(recording).upright
+    assert upright.wobble < 0.05 * upright.lens.half_angle / recording.observation.shape[1]
 
 
 def test_too_few_turns_in_deployment_leave_the_lean_of_training(small_recording: Path):

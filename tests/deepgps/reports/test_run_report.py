@@ -124,14 +124,15 @@ def test_the_lean_of_the_camera_and_the_deployment_drive_are_reported(metrics: d
     before = describe(metrics)
     assert not any("leans" in sentence or "in deployment" in sentence for sentence in before)
     metrics["in_use"] = {"samples": 40}
-    metrics["methods"]["mine"] |= {"lean_roll_deg": 0.02, "lean_pitch_deg": 0.0}
+    metrics["methods"]["mine"] |= {"lean_roll_deg": 0.02, "lean_pitch_deg": 0.0, "wobble_deg": 0.1}
     metrics["methods"]["mine"]["in_use"] = {"rms_m": 0.05, "median_m": 0.02}
     assert not any("leans" in sentence for sentence in describe(metrics)), "too little to be seen"
-    metrics["methods"]["mine"]["in_use"] |= {"lean_roll_deg": 2.0, "lean_pitch_deg": -0.1}
+    metrics["methods"]["mine"]["in_use"] |= {"lean_roll_deg": 2.0, "lean_pitch_deg": -0.1, "wobble_deg": 0.6}
     after = describe(metrics)
     assert [sentence for sentence in after if sentence not in before] == [
         "By its turns, the camera leans 0.02° to the right and 0.00° forward in training, 2.00° to the right and "
         "-0.10° forward in deployment.",
+        "It wobbles by 0.6°, in training by 0.1°: errors exceed the radii.",
         "RMS (median) on the 40 images of the deployment drive [cm]: mine 5.0 (2.0).",
     ]
 
