@@ -5,13 +5,13 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "lines of sim and deepgps": 41_761,
+    "lines of sim and deepgps": 41_869,
     "files of sim and deepgps": 287,
-    "lines of tests": 28_869,
+    "lines of tests": 28_913,
     "Python files directly in deepgps": 2,
-    "words of decisions": 6_100,
-    "words of all other pages by hand": 19_918,
-    "words of the reference that the code does not say": 3_346,
+    "words of decisions": 6_187,
+    "words of all other pages by hand": 20_125,
+    "words of the reference that the code does not say": 3_370,
     "words of published results": 8_000,
 }
 

@@ -9,6 +9,7 @@ from deepgps.data.segments import dead_reckon, find_lasts, find_starts, read_seg
 from deepgps.evaluation.error_field import find_rms
 from sim.alignment import fit_alignment
 from sim.recording.format import Recording, Truth, measure_driven
+from sim.recording.manifest import Manifest
 from sim.settings import EncoderSettings
 
 HEADING_DISTANCE_M = 3.0  # Way of the true path by which a dead-reckoned one is rotated [m]
@@ -40,6 +41,23 @@ def describe_drive(recording: Recording) -> dict[str, Any]:
         "samples": len(recording.observation),  # Observations
         "segments": len(np.unique(segment)) if segments is None else segments,  # Straight segments
         "distance_driven_m": driven_m,  # Distance along all segments [m]
+        **describe_unseen(about),
+    }
+
+
+def describe_unseen(about: Manifest) -> dict[str, Any]:
+    """What the robot's own map says of the floor without images within 0.25 m, if it has one."""
+    more = about.model_extra or {}
+    if "unseen" not in more:
+        return {}
+    (unseen, most), until = more["unseen"], about.settings.get("drive", {}).get("until", {}).get("unseen")
+    return {
+        "explore": {
+            "unseen": unseen,  # Share of the floor without an image within 0.25 m, likely
+            "unseen_high": most,  # The same, at most
+            # Which of the drive's settings ended it: until.unseen or samples
+            "ended_by": "unseen" if until is not None and unseen <= until else "samples",
+        }
     }
 
 

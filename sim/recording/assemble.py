@@ -16,6 +16,7 @@ from sim.files.checksums import read_arrays, write_array, write_blocks
 from sim.geometry import planar_pose
 from sim.recording.chunks import DIFFERENCES, IMAGE, RENDERER, REPEATS, part_files
 from sim.recording.format import grid_file, measure_driven, observation_file, stamp, time_file, turn_file
+from sim.recording.manifest import MAP_ENTRIES
 from sim.recording.turns import FILE as TURNS
 from sim.recording.turns import count_images, list_turns, lose_turns
 from sim.sensors.camera.tag_camera import NAME, camera_matrix, mounting
@@ -75,8 +76,16 @@ def write_drive(
         "samples_dropped": int(sum(chunk["dropped"] for chunk in drive.chunks)),
         "times_relocated": int(sum(chunk.get("relocated", 0) for chunk in drive.chunks)),
         "distance_driven_m": measure_driven(segment, angle.mean(axis=1) * wheel_radius_m),
-        **{name: part.round(3).tolist() for name, part in drive.chunks[-1].items() if name == "unreached"},
+        **{name: drive.chunks[-1][name].round(4).tolist() for name in MAP_ENTRIES if name in drive.chunks[-1]},
     }
+
+
+def cut_short(settings: SimSettings, drive: CollectedDrive) -> SimSettings:
+    """The settings with as many samples as were driven, where the drive was done before."""
+    driven = int(drive.chunks[-1]["observations"]) if drive.chunks else settings.drive.samples
+    if driven >= settings.drive.samples:
+        return settings
+    return settings.model_copy(update={"drive": settings.drive.model_copy(update={"samples": driven})})
 
 
 def take_held_out(settings: SimSettings, drive: CollectedDrive) -> np.ndarray:

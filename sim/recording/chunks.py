@@ -43,8 +43,12 @@ def drive_chunk(
     if before:
         planner.set_state(before)
     first, driven, dropped, relocated = observations, list[dict[str, np.ndarray]](), 0, 0
-    wanted = settings.drive.samples + settings.grid.held_out
-    while observations - first < CHUNK and observations < wanted:
+    wanted, until = settings.drive.samples + settings.grid.held_out, settings.drive.until.unseen
+    while (
+        observations - first < CHUNK
+        and observations < wanted
+        and not (until is not None and planner.unseen[0] <= until)
+    ):
         segment = next_segment(world, settings.drive, rng, mode, planner)
         driven.append(_number(segment, segments, observations))
         observations += len(driven[-1]["state"])

@@ -23,6 +23,7 @@ from sim.geometry import save_free_space, spread_headings
 from sim.recording.assemble import (
     CollectedDrive,
     count_drawn,
+    cut_short,
     read_if_whole,
     take_held_out,
     write_drive,
@@ -229,8 +230,8 @@ def _drive(job: _Job, give: Callable[[Part], None], progress: Report) -> Collect
     world, settings, work = job.world, job.world.settings, job.work
     rng, chance = stream(job.seed, "drive"), spawn_streams(job.seed)
     drive, chunk = CollectedDrive([], [], []), None
-    driven, wanted = 0, settings.drive.samples + settings.grid.held_out
-    while driven < wanted:
+    driven, wanted, done = 0, settings.drive.samples + settings.grid.held_out, False
+    while driven < wanted and not done:
         path, images, turns = chunk_files(work, len(drive.chunks))
         before, chunk = chunk, read_if_whole(path)
         if chunk is None:
@@ -245,7 +246,8 @@ def _drive(job: _Job, give: Callable[[Part], None], progress: Report) -> Collect
             drive.turns.append(turns)
             give(Part(lit, turned, turns, draw_leans(settings.camera_mount, len(turned), chance.turn_lean)))
         driven = int(chunk["observations"])
-        progress("drive", min(driven, wanted), wanted)
+        done = settings.drive.until.unseen is not None and chunk["unseen"][0] <= settings.drive.until.unseen
+        progress("drive", driven if done else min(driven, wanted), driven if done else wanted)
     return drive
 
 
@@ -268,7 +270,7 @@ def _is_drawn(part: Part) -> bool:
 
 def _assemble(job: _Job, drive: CollectedDrive, tests: list[Path]) -> dict[str, Any]:
     """Write the recording's arrays and return their manifest entries; raises DamagedError for a damaged part."""
-    folder, settings, test_pose = job.folder, job.settings, job.test_pose
+    folder, settings, test_pose = job.folder, cut_short(job.settings, drive), job.test_pose
     if job.base is not None:
         counts = link_training(job.base, folder)
     else:

@@ -31,7 +31,14 @@ from sim.recording.format import (
     remove_recording,
     turn_file,
 )
-from sim.recording.manifest import DEPLOYMENT_FOLDER, Manifest, choose_deployment, read_settings, seed_deployment
+from sim.recording.manifest import (
+    DEPLOYMENT_FOLDER,
+    MAP_ENTRIES,
+    Manifest,
+    choose_deployment,
+    read_settings,
+    seed_deployment,
+)
 from sim.recording.turns import FILE as TURNS
 from sim.recording.turns import Turns, count_images, cut_turns, lose_turns
 from sim.rng import stream
@@ -53,7 +60,7 @@ TRAINING_ENTRIES = (
     "readings_lost",
     "samples_dropped",
     "times_relocated",
-    "unreached",
+    *MAP_ENTRIES,
     "distance_driven_m",
     "gl_renderer",
 )
@@ -112,7 +119,7 @@ def derive(base: Path, settings: SimSettings, seed: int, folder: Path) -> None:
             link_file(base / name, folder / name)
     manifest = recording.manifest.model_dump(by_alias=True, exclude_unset=True)
     if not whole:
-        for name in ("samples_dropped", "times_relocated", "unreached", *IMAGE_COUNTS):  # of the complete drive
+        for name in ("samples_dropped", "times_relocated", *MAP_ENTRIES, *IMAGE_COUNTS):  # of the complete drive
             manifest.pop(name, None)
     manifest |= _read_again(recording, truth, turns, kept, settings, seed, folder)
     manifest |= {"settings": settings.model_dump(mode="json"), "samples": samples}

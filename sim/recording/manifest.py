@@ -14,7 +14,13 @@ from sim.errors import InputError, one_line
 from sim.files.checksums import FORMAT
 from sim.rng import derive_seed
 from sim.sensors.catalog import SENSORS, ObservationKind, list_kept
-from sim.settings import DeploymentImageFaultSettings, DeploymentMountSettings, DeploymentSettings, SimSettings
+from sim.settings import (
+    DeploymentImageFaultSettings,
+    DeploymentMountSettings,
+    DeploymentSettings,
+    SimSettings,
+    UntilSettings,
+)
 
 PACKAGES = ("mujoco", "numpy", "opencv-python-headless")  # Packages on whose versions the bytes of a recording depend
 SENSOR = r"[a-z][a-z0-9_]{0,40}"  # Pattern of a sensor's name, which is part of the names of its files
@@ -101,6 +107,14 @@ def light_part(settings: SimSettings, number: int) -> SimSettings:
     return settings.model_copy(update={"deployment": seen})
 
 
+MAP_ENTRIES = ("unreached", "unseen")
+"""What a robot with a map of its own tells at the end of the drive.
+
+Floor that it saw and did not reach: places and areas [m, m, m2]; share of the floor that no image is near: likely, and
+at most.
+"""
+
+
 def set_deployment(settings: SimSettings) -> SimSettings:
     """Settings of all sensed in deployment: the room as ``deployment`` changes it, the camera as it is then."""
     none = {"camera_mount": DeploymentMountSettings(), "image_faults": DeploymentImageFaultSettings()}
@@ -116,7 +130,12 @@ def set_deployment(settings: SimSettings) -> SimSettings:
 def choose_deployment(settings: SimSettings) -> SimSettings:
     """Settings of the deployment drive's recording: in the room and the light as ``deployment`` changes them."""
     drive = settings.drive.model_copy(
-        update={"samples": settings.deployment.drive_samples, "mixed_light": False, "person": 0}
+        update={
+            "samples": settings.deployment.drive_samples,
+            "mixed_light": False,
+            "person": 0,
+            "until": UntilSettings(),
+        }
     )
     grid = settings.grid.model_copy(update={"held_out": 0})
     return set_deployment(settings).model_copy(update={"drive": drive, "grid": grid})

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from sim.geometry import wrap
-from sim.robot.grid_map import FLOOR_CELL_M, SWATH_M, Floor, GridMap, go, scan
+from sim.robot.grid_map import CROSS, FLOOR_CELL_M, SWATH_M, Floor, GridMap, go, scan
 from sim.robot.headings import START_COST_M, STOP_DISTANCE_M, Course, DriveMode, Planner, Visits
 from sim.robot.model import wheel_motion
 from sim.robot.motion import Robot, look
@@ -42,11 +42,13 @@ class Explorer:
         self._body, self._angle = robot.body, robot.wheel_angle()
         self._pose, self._grid, self._next_scan_m = np.zeros(3), GridMap(), 0.0
         self._failed, self._doubtful, self._aims = 0, False, np.empty((0, 2))
+        self.unseen = np.ones(2)  # Share of the floor that no image is near: likely, and at most
 
     def choose(self, robot: Robot, settings: DriveSettings, rng: np.random.Generator, mode: DriveMode) -> Course:
         """Where the next segment goes: along the best heading with enough that is clear by the rays."""
         self._scan(robot)
         floor, first_rad = self._grid.read_floor(self._body.radius_m), rng.uniform(-np.pi, np.pi)
+        self.unseen = self.measure_unseen(floor)
         turned = first_rad + 2 * np.pi * np.arange(HEADINGS) / HEADINGS
         for goals in self._list_goals(floor) if self._failed < MOST_FAILED else ():
             value, end, length_m = self._compare(floor, goals, turned, min(settings.longest_m, MAX_LENGTH_M))
@@ -103,7 +105,10 @@ class Explorer:
         own, grid = {"angle": self._angle, "pose": self._pose, "aims": self._aims}, self._grid
         own |= {"failed": np.array((self._failed, self._doubtful)), "box": np.stack([grid.low, grid.high])}
         own |= {"seen": grid.seen[grid.box], "passes": grid.passes[grid.box]}
-        return {f"map_{name}": part for name, part in own.items()} | {"unreached": self.unreached()}
+        return {f"map_{name}": part for name, part in own.items()} | {
+            "unreached": self.unreached(),
+            "unseen": self.unseen,
+        }
 
     def set_state(self, state: dict[str, np.ndarray]) -> None:
         """Restore the arrays of ``state``; others are not read."""
@@ -112,11 +117,26 @@ class Explorer:
         grid.seen[grid.box], grid.passes[grid.box] = state["map_seen"], state["map_passes"]
         self._angle, self._pose, self._aims = (state[f"map_{name}"] for name in ("angle", "pose", "aims"))
         self._failed, self._doubtful = state["map_failed"].tolist()
+        self.unseen = state["unseen"]
 
     def _scan(self, robot: Robot) -> None:
         seen = scan(robot)
         self._pose = match(self._grid, self._pose, seen, self._doubtful)
         self._grid.add(self._pose, seen)
+
+    def measure_unseen(self, floor: Floor | None = None) -> np.ndarray:
+        """Share of the floor that no image is near: likely, and at most (2,).
+
+        Rims beside what was passed, and floor that was aimed at in vain, count only in the second.
+        """
+        floor = floor or self._grid.read_floor(self._body.radius_m)
+        parts = cv2.connectedComponents(floor.fits.astype(np.uint8), connectivity=4)[1]
+        passed = floor.passes > 0
+        own = floor.fits & np.isin(parts, parts[floor.fits & passed]) if passed.any() else floor.fits
+        new, size = own & ~passed, max(own.sum(), 1)
+        beside = cv2.dilate(passed.astype(np.uint8), CROSS) > 0
+        likely = (new & ~beside & ~self._is_left_alone(floor)).sum() / size
+        return np.array((likely, new.sum() / size))
 
     def _list_goals(self, floor: Floor) -> Iterator[np.ndarray]:
         """Masks of goals, the next if the robot finds no way to those before."""

@@ -32,6 +32,7 @@ from sim.settings.world import (
 from sim.settings.world import TURN_RATE_RPS as TURN_RATE_RPS
 from sim.settings.world import RoomKind as RoomKind
 from sim.settings.world import RoomShape as RoomShape
+from sim.settings.world import UntilSettings as UntilSettings
 
 MAX_GRID_DISTANCES = 250_000_000  # Most distances that a test grid in a plane holds: 1 GB
 
@@ -110,6 +111,14 @@ class SimSettings(Group):
             if value != usual:
                 shown = "" if isinstance(value, bool | Group) else f" {value}"
                 raise ValueError(f"{name}{shown} needs world room, and the world is {self.world}")
+        return self
+
+    @model_validator(mode="after")
+    def _held_out_samples_are_of_a_whole_drive(self) -> "SimSettings":
+        if self.drive.until.unseen is not None and self.grid.held_out:
+            raise ValueError(
+                f"drive.until.unseen ends a drive early, and grid.held_out {self.grid.held_out} follows it"
+            )
         return self
 
     @model_validator(mode="after")

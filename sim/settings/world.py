@@ -82,6 +82,14 @@ MIN_SAMPLES = 16  # Fewest images of a drive
 TURN_RATE_RPS = 1.8  # Speed of turns in place [rad/s] (TurtleBot3 Burger: at most 2.84)
 
 
+class UntilSettings(Group):
+    """When the drive is done, before drive.samples."""
+
+    unseen: float | None = Field(default=None, ge=0.0, le=0.5)
+    """Share of the floor without an image within 0.25 m, by the robot's own map, from which the drive is done; null: it
+    ends with drive.samples. It needs drive.headings map or frontier."""
+
+
 class DriveSettings(Group):
     """How the robot drives and when it looks."""
 
@@ -118,6 +126,13 @@ class DriveSettings(Group):
     """Persons who walk and stand in view during the training drive, at most 3; as deployment.person."""
     arcs: float = Field(default=0.0, ge=0.0, le=0.9)
     """Probability, before a segment, of driving an arc first, on which no image is taken; only logs show it."""
+    until: UntilSettings = Field(default=UntilSettings(), exclude_if=lambda until: until == UntilSettings())
+
+    @model_validator(mode="after")
+    def _only_a_map_tells_when_it_is_done(self) -> "DriveSettings":
+        if self.until.unseen is not None and self.headings not in ("map", "frontier"):
+            raise ValueError(f"until.unseen needs headings map or frontier, which draw a map, not {self.headings}")
+        return self
 
 
 class GridSettings(Group):

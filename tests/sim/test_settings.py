@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 from pydantic import Field, ValidationError
 
-from sim.settings import Group
+from sim.settings import Group, SimSettings
 
 
 class Mixed(Group):
@@ -30,6 +30,18 @@ def test_true_and_false_are_no_numbers(wrong: dict):
 def test_true_and_false_stay_where_they_are_meant():
     mixed = Mixed.model_validate({"switch": True, "switches": [False], "anything": {"a": [True, 1]}})
     assert (mixed.switch is True, mixed.switches, mixed.anything) == (True, (False,), {"a": (True, 1)})
+
+
+@pytest.mark.parametrize(
+    ("drive", "grid", "message"),
+    [
+        ({"until": {"unseen": 0.1}}, {}, "until.unseen needs headings map or frontier, which draw a map, not explore"),
+        ({"until": {"unseen": 0.1}, "headings": "map"}, {"held_out": 9}, "grid.held_out 9 follows it"),
+    ],
+)
+def test_a_drive_is_done_early_only_by_a_map_and_before_nothing(drive: dict, grid: dict, message: str):
+    with pytest.raises(ValidationError, match=message):
+        SimSettings.model_validate({"drive": drive, "grid": grid})
 
 
 def test_whole_numbers_stand_for_fractions():

@@ -299,6 +299,18 @@ def test_the_grid_has_all_that_can_be_reached_up_to_the_last_row(small_settings)
             assert pose[..., axis].max() == pytest.approx(0.08 * np.floor(high / 0.08 + 1e-9))
 
 
+def test_a_drive_that_is_done_before_its_last_image_is_whole(short_settings, tmp_path):
+    settings = change(short_settings, drive={"samples": 500, "headings": "map", "until": {"unseen": 0.4}})
+    collect(settings, 0, tmp_path / "done", quiet, workers=1)
+    done, longer = open_recording(tmp_path / "done"), tmp_path / "longer"
+    count = len(done.observation)
+    assert count < 500 and done.manifest.samples == count == len(open_truth(done.folder).pose)
+    assert (done.manifest.model_extra or {})["unseen"][0] <= 0.4
+    collect(change(settings, drive={"samples": count, "until": {}}), 0, longer, quiet, workers=1)
+    ours, theirs = read_files(done.folder), read_files(longer)
+    assert ours == theirs
+
+
 @pytest.mark.slow  # quick: test_use, whose deployment drive and tests are darkened
 def test_what_changes_between_training_and_use_leaves_training_as_it_was(small_settings, tmp_path):
     plain = change(small_settings, drive={"samples": 30}, grid={"spacing_m": 0.15, "headings": 1})

@@ -95,6 +95,27 @@ def test_chunk_continued_from_its_file_is_the_uninterrupted_one(headings, tmp_pa
     assert np.array_equal(joined, np.concatenate(driven)[: len(joined)])
 
 
+def test_share_that_is_unseen_by_its_own_map_is_the_true_one():
+    world, apart = make_world(furnished()), []
+    for segments in (4, 8, 16, 32):
+        planner, places = explore(world, segments)
+        likely, most = planner.measure_unseen()
+        true = 1.0 - find_seen(floor_cells(world), places).mean()
+        assert most >= true - 0.01
+        apart.append(likely - true)
+    assert np.abs(apart).max() < 0.06 and abs(apart[-1]) < 0.01
+    assert true < 0.02
+
+
+def test_drive_is_done_when_so_much_is_seen_even_within_a_chunk():
+    settings = SimSettings.model_validate({"drive": {"headings": "map", "samples": 5000, "until": {"unseen": 0.3}}})
+    world, chunk = RoomWorld(settings, furnished()), None
+    while chunk is None or chunk["unseen"][0] > 0.3:
+        before, chunk = chunk, chunks.drive_chunk(world, settings, stream(0, "drive"), chunk)
+    assert before is None or before["unseen"][0] > 0.3
+    assert chunk["observations"] % chunks.CHUNK != 0 and chunk["observations"] < 1000
+
+
 @pytest.mark.slow
 def test_stays_on_free_floor_and_covers_it_sooner_than_today_s_drive():
     images = {}
