@@ -6,19 +6,22 @@ from typing import get_args
 import mujoco
 import numpy as np
 
+from sim.errors import InputError
 from sim.rng import split
 from sim.rooms.furniture import textures
 from sim.rooms.furniture.primitives import COLLISION_GROUP, Footprint, block, box, make_look, paper, turned
 from sim.rooms.layout import Layout
 from sim.rooms.outline import DOORWAY_M, outline, slabs
 from sim.rooms.placement import Finish, Room, hang_lamps, panel_ceiling, paper_wall, surface
-from sim.rooms.plans import PLANS, RoomPlan
+from sim.rooms.plans import PLANS
+from sim.rooms.room_plan import RoomPlan
 from sim.settings import RoomKind, RoomSettings, RoomShape
 
 FLOOR = "floor"
 WALL_M = 0.15
 CORNER_GAP_M = 0.002
 DOORWAY_HEIGHT_M = 2.05
+DRAWS = 10  # Most rooms drawn until one is usable
 
 PILLAR_FINISHES: tuple[Finish, ...] = ("brick", "plaster", "boards")
 
@@ -28,15 +31,27 @@ def build_room(settings: RoomSettings) -> mujoco.MjSpec:
 
     Drawn geoms are in group 2 and collide with nothing; colliding geoms are in group 3 and are not drawn. The floor is
     the plane ``floor`` at z = 0; the origin is the middle of the room's extent. Raises InputError if the MJCF file that
-    the settings name cannot be used.
+    the settings name cannot be used, or no room that is drawn is usable.
     """
     if settings.mjcf is not None:
         from sim.rooms.mjcf import load_room
 
         return load_room(Path(settings.mjcf))
-    rng = np.random.default_rng(
-        [settings.seed, get_args(RoomKind).index(settings.kind), get_args(RoomShape).index(settings.shape)]
+    accepts = PLANS[settings.kind].accepts
+    for number in range(DRAWS):
+        spec = _draw(settings, [number] * (number > 0))
+        if accepts is None or accepts(spec):
+            return spec
+    raise InputError(
+        f"room.seed {settings.seed}: a robot can reach every room in none of {DRAWS} draws of a {settings.kind}; "
+        "another seed or a larger room.width_m and room.depth_m may have one"
     )
+
+
+def _draw(settings: RoomSettings, again: list[int]) -> mujoco.MjSpec:
+    """Draw a room from its seed; ``again`` makes it another one."""
+    kind, shape = get_args(RoomKind).index(settings.kind), get_args(RoomShape).index(settings.shape)
+    rng = np.random.default_rng([settings.seed, kind, shape, *again])
     plan = PLANS[settings.kind]
     width, depth, height = plan.size_m
     if plan.draw_size is not None:

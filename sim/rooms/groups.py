@@ -25,8 +25,9 @@ from sim.rooms.placement import (
 
 
 def enter(room: Room, windows: int, roller: bool = False) -> None:
-    """Add what every room has: a door with free floor before it, then windows with curtains and radiators."""
-    found = hang(room, "door", wall.door)
+    """Add what every room has: a door with free floor before it, unless it has one, then windows with curtains and
+    radiators."""
+    found = hang(room, "door", wall.door, walls=room.outer) if room.layout.entrance is None else None
     if found is not None:
         room.layout.keep_open(*found, width_m=0.9, depth_m=0.9)
     if roller:
@@ -35,7 +36,7 @@ def enter(room: Room, windows: int, roller: bool = False) -> None:
             room.layout.keep_open(*gate, width_m=2.0, depth_m=0.8)
     for _ in range(windows):
         width = float(room.rng.uniform(0.9, 1.7))
-        hang(room, "window", partial(wall.dressed_window, width_m=width, curtained=not roller))
+        hang(room, "window", partial(wall.dressed_window, width_m=width, curtained=not roller), walls=room.outer)
 
 
 def put_stand(room: Room) -> None:

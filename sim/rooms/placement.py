@@ -37,6 +37,7 @@ class Room:
     # In a room whose places look alike, the first piece of each name, which later ones repeat; None: all pieces
     # differ
     twins: dict[str, Callable[..., Any]] | None = None
+    outer: list[Wall] | None = None  # Walls that may have windows; None: all
 
     @property
     def area_m2(self) -> float:

@@ -1,23 +1,20 @@
 """The furniture of each kind of room, in the order in which a person would carry it in."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
-from sim.rooms.furniture import ceiling, decor, seating, storage, textures
+from sim.rooms import flat_plan
+from sim.rooms.flat import furnish_rooms, is_reachable
+from sim.rooms.furniture import bathroom, decor, seating, storage
 from sim.rooms.furniture import fittings as wall
 from sim.rooms.groups import adorn, dine, enter, put_stand, sit, sleep, work
 from sim.rooms.lab import hang_tags, place_posts
 from sim.rooms.labyrinth import CELL_M, draw_size, raise_labyrinth
 from sim.rooms.office_floor import furnish_office_floor
 from sim.rooms.placement import (
-    Finish,
     Room,
-    beams,
     centre,
-    fix,
     hang,
     hang_lamps,
     in_a_corner,
@@ -26,9 +23,8 @@ from sim.rooms.placement import (
     stand,
     stand_first,
 )
+from sim.rooms.room_plan import RoomPlan, carpet, concrete, tiled_floor, tubes_and_ducts
 from sim.settings import RoomKind
-
-FLOOR_PX = (256, 320)
 
 
 def furnish_living_room(room: Room) -> None:
@@ -156,66 +152,35 @@ def furnish_lab(room: Room) -> None:
     adorn(room, plants=1, pictures=2, lamp=False)
 
 
-def lamps_and_beams(room: Room) -> None:
-    """Beams and domestic lamps."""
-    rng = room.rng
-    beams(room, "beam", ceiling.beam, int(rng.integers(2, 4)), float(rng.uniform(0.12, 0.2)))
-    lamps = [ceiling.globe, ceiling.dish, ceiling.spots, ceiling.chandelier, ceiling.pendant]
-    if room.height_m > 2.55:
-        lamps.append(ceiling.fan)
-    _finish_ceiling(room, lamps)
+def furnish_bathroom(room: Room) -> None:
+    """A basin, a toilet, a bathtub or a shower, a washing machine."""
+    enter(room, windows=1)
+    stand(room, "basin", partial(bathroom.basin, width_m=float(room.rng.uniform(0.55, 0.9))))
+    stand(room, "toilet", bathroom.toilet)
+    wet = [("bathtub", bathroom.bathtub), ("shower", bathroom.shower)]
+    for name, piece in wet[:: int(room.rng.choice((-1, 1)))]:
+        if stand(room, name, piece, in_a_corner(room)) is not None:
+            break
+    stand(room, "washing_machine", bathroom.washing_machine)
+    adorn(room, plants=0, pictures=1, lamp=False)
 
 
-def tubes_and_ducts(room: Room) -> None:
-    """A duct and workplace lamps."""
-    beams(room, "duct", ceiling.duct, 1, 0.4)
-    _finish_ceiling(room, [ceiling.tube, ceiling.tube, ceiling.tube, ceiling.dish, ceiling.spots])
+def furnish_hall(room: Room) -> None:
+    """The front door, coats, shoes and a mirror."""
+    enter(room, windows=0)
+    put_stand(room)
+    hang(room, "mirror", wall.mirror)
+    stand(room, "cabinet", partial(storage.cabinet, width_m=0.9))
+    adorn(room, plants=1, pictures=4, lamp=False)
 
 
-def _finish_ceiling(room: Room, lamps: list) -> None:
-    """Lamps of different kinds, vents, a hatch and a smoke detector, in no regular pattern."""
-    rng, height = room.rng, room.height_m
-    count = int(np.clip(round(room.area_m2 / 7.5), 3, 6))
-    order = [lamps[i % len(lamps)] for i in rng.permutation(max(count, len(lamps)))[:count]]
-    for lamp in order:
-        fix(room, lamp.__name__, lamp, height - 1.0)
-    for piece in (ceiling.vent, ceiling.vent, ceiling.hatch, ceiling.smoke_detector):
-        fix(room, piece.__name__, piece, height - 0.1)
+def furnish_flat(room: Room) -> None:
+    """A hall, and rooms of several kinds behind its doors."""
+    furnish_rooms(room, {**PLANS, **FLAT_PLANS})
 
 
-def wooden_floor(rng: np.random.Generator) -> np.ndarray:
-    """Boards, lighter or darker."""
-    return textures.wood(rng, FLOOR_PX, np.multiply((0.66, 0.47, 0.3), rng.uniform(0.75, 1.1)), 22)
-
-
-def carpet(rng: np.random.Generator) -> np.ndarray:
-    """Grey fabric."""
-    return textures.fabric(rng, FLOOR_PX, (0.42, 0.45, 0.5), (0.36, 0.4, 0.47))
-
-
-def tiled_floor(rng: np.random.Generator) -> np.ndarray:
-    """Tiles of two colours."""
-    return textures.tile(rng, FLOOR_PX, (0.75, 0.7, 0.62), textures.muted(rng), (12, 16))
-
-
-def concrete(rng: np.random.Generator) -> np.ndarray:
-    """Stained screed with cracks."""
-    return textures.plaster(rng, FLOOR_PX, (0.55, 0.55, 0.53), stains=14, cracks=6)
-
-
-@dataclass(frozen=True)
-class RoomPlan:
-    """A kind of room."""
-
-    size_m: tuple[float, float, float]  # Width, depth and height [m]
-    finishes: tuple[Finish, ...]  # Finishes of the walls, in turn
-    furnish: Callable[[Room], None]  # Furnishes the empty room: all that is on the floor or on walls
-    floor: Callable[[np.random.Generator], np.ndarray] = wooden_floor  # Draws the floor's texture
-    finish_ceiling: Callable[[Room], None] = lamps_and_beams  # Adds lamps and whatever else is on the ceiling
-    wooden_ceiling: bool = False  # Whether half of the ceilings, at random, are of boards
-    panelled: bool = False  # Whether the ceiling consists of equal panels
-    # Draws width and depth [m] of a room whose settings give none; None: those of ``size_m``
-    draw_size: Callable[[np.random.Generator], tuple[float, float]] | None = None
+def leave(room: Room) -> None:
+    """Add nothing."""
 
 
 PLANS: dict[RoomKind, RoomPlan] = {
@@ -244,5 +209,18 @@ PLANS: dict[RoomKind, RoomPlan] = {
         panelled=True,
         draw_size=draw_size,
     ),
+    "flat": RoomPlan(
+        (10.0, 8.0, 2.6),
+        ("plaster",),
+        furnish_flat,
+        finish_ceiling=leave,
+        draw_size=flat_plan.draw_size,
+        accepts=is_reachable,
+    ),
 }
 """Every kind of room, in the order of ``RoomKind``; new ones go last, as the position is part of the random seed."""
+FLAT_PLANS = {
+    "hall": RoomPlan((6.0, 1.4, 2.6), ("plaster", "wallpaper"), furnish_hall),
+    "bathroom": RoomPlan((3.0, 2.4, 2.6), ("tile", "tile", "plaster"), furnish_bathroom, tiled_floor),
+}
+"""Kinds that are only parts of a flat."""
