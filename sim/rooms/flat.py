@@ -10,22 +10,23 @@ import numpy as np
 from sim.rooms.flat_plan import Doorway, draw_plan
 from sim.rooms.free_space import find_free_space
 from sim.rooms.furniture import textures
-from sim.rooms.furniture.primitives import box, make_look, paper, turned
-from sim.rooms.layout import Layout
+from sim.rooms.furniture.primitives import Footprint, box, make_look, paper, turned
+from sim.rooms.layout import CELL_M, Layout, wall_pose
 from sim.rooms.outline import Wall, slabs
 from sim.rooms.placement import Room, surface
 from sim.rooms.room_plan import RoomPlan
-from sim.rooms.spec import compile_solid
 
 LINING_M, CORNER_GAP_M = 0.05, 0.002  # Thickness of one room's side of a wall; a wall ends short of an inner corner
 FLOOR_M = 0.001  # Height of a room's own floor [m]
 DOOR_HEIGHT_M, FRAME_M, LEAF_M = 2.05, 0.05, 0.04  # Height of a doorway, width of its frame, thickness of its door [m]
-OPEN_DEG, AJAR_DEG, AJAR_PROBABILITY = (80.0, 90.0), (40.0, 70.0), 0.35  # How far doors are open
+OPEN_DEG, AJAR_DEG, AJAR_PROBABILITY = (80.0, 90.0), (55.0, 72.0), 0.35  # How far doors are open
 KEPT_M = 0.6  # Floor that stays open on the side of a doorway to which its door does not open [m]
 ROBOT_M = (0.15, 0.4)  # Radius and height of a robot that must get into every room [m]
 CHECK_M = 0.05  # Side of the cells in which that is checked [m]
 MARK, MARK_GROUP = "in_", 5
 """A site of a flat is in the middle of the largest free floor of a room: ``in_<kind>_<number>``; no camera sees it."""
+Opening = tuple[Wall, float, float, float]
+"""A doorway as a room has it: its wall, its ends along it, and the depth of floor that stays open before it [m]."""
 
 
 def furnish_rooms(room: Room, plans: Mapping[str, RoomPlan]) -> None:
@@ -36,7 +37,7 @@ def furnish_rooms(room: Room, plans: Mapping[str, RoomPlan]) -> None:
         return
     parts = [_part(room, corners, (low, high)) for corners in plan.corners]
     leaf = paper(room.spec, textures.panels(room.rng, (192, 96), 0.4 + 0.5 * textures.muted(room.rng), (3, 2)))
-    openings: list[list[tuple[Wall, float, float]]] = [[] for _ in parts]
+    openings: list[list[Opening]] = [[] for _ in parts]
     for door in plan.doorways:
         depths = KEPT_M, door.width_m + 0.1
         for number, depth in zip(door.rooms, depths, strict=True):
@@ -48,12 +49,12 @@ def furnish_rooms(room: Room, plans: Mapping[str, RoomPlan]) -> None:
         _lay_floor(part, plans[kind])
         plans[kind].furnish(part)
         plans[kind].finish_ceiling(part)
-        _mark(part, f"{MARK}{kind}")
+        _mark(part, f"{MARK}{kind}", gaps)
 
 
 def is_reachable(spec: mujoco.MjSpec) -> bool:
     """Whether a robot gets into every room of a flat."""
-    space = find_free_space(compile_solid(spec)[0], *ROBOT_M, cell_m=CHECK_M)
+    space = find_free_space(spec.compile(), *ROBOT_M, cell_m=CHECK_M)
     rooms = [site.pos[:2] for site in spec.sites if site.name.startswith(MARK)]
     return bool(rooms) and bool(space.is_reachable(np.array(rooms)).all())
 
@@ -68,13 +69,13 @@ def _part(room: Room, corners: np.ndarray, extent: tuple[np.ndarray, np.ndarray]
     return replace(room, look=make_look(room.spec, room.rng), layout=layout, wall_bodies=[], outer=outer)
 
 
-def _open(layout: Layout, door: Doorway, depth_m: float) -> tuple[Wall, float, float]:
-    """Keep a doorway open, in the wall and on the floor before it; return its wall, and its ends along the wall [m]."""
+def _open(layout: Layout, door: Doorway, depth_m: float) -> Opening:
+    """Keep a doorway open, in the wall and on the floor before it; say where it is."""
     wall = min(layout.walls, key=lambda wall: _distance(wall, door.middle))
     x, half = float((door.middle - wall.middle) @ wall.along), door.width_m / 2 + FRAME_M
     wall.taken.append((x - half - 0.02, x + half + 0.02, 0.0, DOOR_HEIGHT_M + FRAME_M))
-    layout.keep_open(wall, x, door.width_m + 0.1, depth_m)
-    return wall, x - half, x + half
+    layout.keep_open(wall, x, door.width_m + 0.2, depth_m)
+    return wall, x - half, x + half, depth_m
 
 
 def _distance(wall: Wall, point: np.ndarray) -> float:
@@ -82,7 +83,7 @@ def _distance(wall: Wall, point: np.ndarray) -> float:
     return float(np.linalg.norm(point - wall.middle - along * wall.along))
 
 
-def _raise_walls(part: Room, plan: RoomPlan, openings: list[tuple[Wall, float, float]]) -> None:
+def _raise_walls(part: Room, plan: RoomPlan, openings: list[Opening]) -> None:
     """Raise a room's side of its walls, around its doorways."""
     walls, height, hue = part.layout.walls, part.height_m, float(part.rng.random())
     for number, wall in enumerate(walls):
@@ -93,7 +94,7 @@ def _raise_walls(part: Room, plan: RoomPlan, openings: list[tuple[Wall, float, f
         # x runs against the direction from start to end
         ends = [(-1.0, _turn(wall, walls[(number + 1) % len(walls)])), (1.0, _turn(walls[number - 1], wall))]
         first, last = (side * (wall.length_m / 2 + (LINING_M if t > 0 else -CORNER_GAP_M)) for side, t in ends)
-        gaps = sorted(gap[1:] for gap in openings if gap[0] is wall)
+        gaps = sorted(gap[1:3] for gap in openings if gap[0] is wall)
         edges = [first, *(edge for gap in gaps for edge in gap), last]
         for index, (left, right) in enumerate(pairwise(edges)):
             low = DOOR_HEIGHT_M + FRAME_M if index % 2 else 0.0
@@ -135,9 +136,11 @@ def _hang(room: Room, door: Doorway, yaw: float, leaf: str) -> None:
     box(body, (at[0], at[1], 1.03), (0.12, LEAF_M + 0.1, 0.03), look.metal, quat=quat)
 
 
-def _mark(part: Room, name: str) -> None:
-    """Mark the middle of the largest free floor of a room."""
+def _mark(part: Room, name: str, openings: list[Opening]) -> None:
+    """Mark the middle of the largest free floor of a room, away from its doors."""
     layout = part.layout
+    for wall, left, right, depth in openings:
+        layout.take(Footprint(right - left, depth, 0.0), wall_pose(wall, (left + right) / 2, depth / 2))
     row, column = np.unravel_index(layout.clearance().argmax(), layout.inside.shape)
-    x, y = layout.low + (np.array((column, row)) + 0.5) * 0.05
+    x, y = layout.low + (np.array((column, row)) + 0.5) * CELL_M
     part.spec.worldbody.add_site(name=part.name(name), pos=(x, y, 0.0), group=MARK_GROUP)

@@ -7,7 +7,7 @@ import numpy as np
 CELL_M = 0.3  # Side of the cells in which rooms grow [m]
 HALL_CELLS, SOWN_CELLS, ARM_CELLS, MIN_CELLS = 5, 4, 4, 8
 """Width of the hall, side of a room before it grows, least width of an arm of an L, least side of a living space."""
-DRAWS = 60  # Plans that are drawn; the one with the best proportions is taken
+DRAWS = 40  # Plans that are drawn; the one with the best proportions is taken
 AREA_M2 = {"living_room": 24.0, "kitchen": 13.0, "bedroom": 15.0, "bathroom": 7.0, "office": 12.0, "workshop": 12.0}
 """Usual area of each kind of room, to which the areas of a flat are in proportion."""
 NEEDED, EXTRA = ("bathroom", "living_room", "kitchen", "bedroom"), ("bedroom", "office", "bathroom", "workshop")
