@@ -17,7 +17,7 @@ from sim.rooms.placement import Room, surface
 from sim.rooms.room_plan import RoomPlan
 
 LINING_M, CORNER_GAP_M = 0.05, 0.002  # Thickness of one room's side of a wall; a wall ends short of an inner corner
-FLOOR_M = 0.001  # Height of a room's own floor [m]
+FLOOR_M = 0.001  # Thickness of a room's own floor [m]
 DOOR_HEIGHT_M, FRAME_M, LEAF_M = 2.05, 0.05, 0.04  # Height of a doorway, width of its frame, thickness of its door [m]
 OPEN_DEG, AJAR_DEG, AJAR_PROBABILITY = (80.0, 90.0), (55.0, 72.0), 0.35  # How far doors are open
 KEPT_M = 0.6  # Floor that stays open on the side of a doorway to which its door does not open [m]
@@ -113,8 +113,8 @@ def _turn(wall: Wall, following: Wall) -> float:
 def _lay_floor(part: Room, plan: RoomPlan) -> None:
     material = paper(part.spec, plan.floor(part.rng))
     for left, right, bottom, top in slabs(part.layout.corners):
-        middle = ((left + right) / 2, (bottom + top) / 2, FLOOR_M - 0.05)
-        box(part.spec.worldbody, middle, (right - left, top - bottom, 0.1), material)
+        middle = ((left + right) / 2, (bottom + top) / 2, FLOOR_M / 2)
+        box(part.spec.worldbody, middle, (right - left, top - bottom, FLOOR_M), material)
 
 
 def _hang(room: Room, door: Doorway, yaw: float, leaf: str) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 from sim.rooms.spec import ROBOT_PREFIX
 from sim.sensors.camera.lens import Lens, make_lens, polar_rays, round_rays
 from sim.sensors.camera.mount import CIRCLE_PX, tilt
+from sim.sensors.camera.occlusion import Occlusion
 from sim.sensors.camera.offscreen import INVISIBLE_GEOM, Face, Offscreen, aim, make_scene, update_scene
 from sim.settings import CameraMountSettings, CameraSettings
 
@@ -87,6 +88,7 @@ CAMERA_SITE = f"{ROBOT_PREFIX}camera"
 AXLE_MOUNT = CameraMountSettings()
 # Points read per face pixel along each axis: more points cost time without a measurable gain.
 _READ_DENSITY = 1.0
+HIDDEN_GROUP = 5  # Group of geoms that no camera sees
 Dress = Callable[[mujoco.MjvScene], None]
 """Changes a scene before it is drawn: its lights, or what is in it besides the model."""
 
@@ -117,6 +119,7 @@ class Fisheye(Offscreen):
         self._site = model.site(CAMERA_SITE).id
         self._robot = np.array([model.body(body).name.startswith(ROBOT_PREFIX) for body in model.geom_bodyid])
         self._boxes = _local_boxes(model)
+        self._occlusion = Occlusion(model)
         self._scene, self._option, self._view = make_scene(model)
         finer = self._finer(self._lens.half_angle / camera.rings)
         self._centre = 2.0 * mount.centre_px / CIRCLE_PX
@@ -160,7 +163,10 @@ class Fisheye(Offscreen):
         position = data.site_xpos[self._site] + turn @ self._offset
         if lean is not None:
             turn = turn @ tilt(lean)
+        hidden, group = self._occlusion.find_hidden(position), self._model.geom_group.copy()
+        self._model.geom_group[hidden] = HIDDEN_GROUP
         update_scene(self._model, data, self._option, self._view, scene)
+        self._model.geom_group[:] = group
         modelled = np.array([geom.objid for geom in scene.geoms[: scene.ngeom]], int)
         seen = self._find_seen(data, modelled, position, turn)
         if dress is not None:
