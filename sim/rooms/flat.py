@@ -14,7 +14,7 @@ from sim.rooms.furniture.primitives import Footprint, box, make_look, paper, tur
 from sim.rooms.layout import CELL_M, Layout, wall_pose
 from sim.rooms.outline import Wall, slabs
 from sim.rooms.placement import Room, surface
-from sim.rooms.room_plan import RoomPlan
+from sim.rooms.room_plan import RoomPlan, few_lamps
 
 LINING_M, CORNER_GAP_M = 0.05, 0.002  # Thickness of one room's side of a wall; a wall ends short of an inner corner
 FLOOR_M = 0.001  # Thickness of a room's own floor [m]
@@ -48,15 +48,17 @@ def furnish_rooms(room: Room, plans: Mapping[str, RoomPlan]) -> None:
         _raise_walls(part, plans[kind], gaps)
         _lay_floor(part, plans[kind])
         plans[kind].furnish(part)
-        plans[kind].finish_ceiling(part)
+        few_lamps(part)
         _mark(part, f"{MARK}{kind}", gaps)
 
 
 def is_reachable(spec: mujoco.MjSpec) -> bool:
     """Whether a robot gets into every room of a flat."""
-    space = find_free_space(spec.compile(), *ROBOT_M, cell_m=CHECK_M)
     rooms = [site.pos[:2] for site in spec.sites if site.name.startswith(MARK)]
-    return bool(rooms) and bool(space.is_reachable(np.array(rooms)).all())
+    if not rooms:
+        return False
+    space = find_free_space(spec.compile(), *ROBOT_M, cell_m=CHECK_M)
+    return bool(space.is_reachable(np.array(rooms)).all())
 
 
 def _part(room: Room, corners: np.ndarray, extent: tuple[np.ndarray, np.ndarray]) -> Room:

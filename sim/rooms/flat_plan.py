@@ -7,7 +7,7 @@ import numpy as np
 CELL_M = 0.3  # Side of the cells in which rooms grow [m]
 HALL_CELLS, SOWN_CELLS, ARM_CELLS, MIN_CELLS = 5, 4, 4, 8
 """Width of the hall, side of a room before it grows, least width of an arm of an L, least side of a living space."""
-DRAWS = 40  # Plans that are drawn; the one with the best proportions is taken
+DRAWS = 80  # Plans that are drawn; the one with the best proportions is taken
 AREA_M2 = {"living_room": 24.0, "kitchen": 13.0, "bedroom": 15.0, "bathroom": 7.0, "office": 12.0, "workshop": 12.0}
 """Usual area of each kind of room, to which the areas of a flat are in proportion."""
 NEEDED, EXTRA = ("bathroom", "living_room", "kitchen", "bedroom"), ("bedroom", "office", "bathroom", "workshop")
@@ -77,7 +77,7 @@ def _grow(rng: np.random.Generator, shape: tuple[int, int], kinds: tuple[str, ..
         growing = [number for number in rooms if (label == number).any()]
         while growing:
             number = min(growing, key=lambda number: (label == number).sum() / wanted[number])
-            free = [part for side in range(4) if len(part := _ahead(label, number, side)) and (part[0] < 0).all()]
+            free = [part for part in _sides(label, number) if len(part) and (part[0] < 0).all()]
             if not free or (label == number).sum() >= limit[number]:
                 growing.remove(number)
             else:
@@ -110,18 +110,21 @@ def _sow(rng: np.random.Generator, label: np.ndarray, number: int) -> None:
         label[row : row + SOWN_CELLS, column : column + SOWN_CELLS] = -1
 
 
-def _ahead(label: np.ndarray, number: int, side: int) -> np.ndarray:
-    """View of the cells (rows, columns) beyond a side of a room, from its own width outwards; none without the room."""
-    turned = np.rot90(label, side)
-    rows, columns = np.nonzero(turned == number)
-    return turned[: rows.min(), columns.min() : columns.max() + 1][::-1] if len(rows) else turned[:0]
+def _sides(label: np.ndarray, number: int) -> list[np.ndarray]:
+    """Views of the cells (away, along) beyond each of the four sides of a room, the nearest first."""
+    rows, columns = np.nonzero(label == number)
+    if not len(rows):
+        return []
+    along, across = np.s_[columns.min() : columns.max() + 1], np.s_[rows.min() : rows.max() + 1]
+    left, right = label[across, : along.start].T[::-1], label[across, along.stop :].T
+    return [label[: across.start, along][::-1], label[across.stop :, along], left, right]
 
 
 def _add_arm(rng: np.random.Generator, label: np.ndarray, number: int) -> None:
     """Make a rectangle an L: it takes free cells beyond a part of one side, from an end of the side."""
-    for side in rng.permutation(4).tolist():
-        ahead = _ahead(label, number, side)
-        for part in (ahead, ahead[:, ::-1]):
+    sides = _sides(label, number)
+    for side in rng.permutation(len(sides)).tolist():
+        for part in (sides[side], sides[side][:, ::-1]):
             width = int(np.argmin([*(part[0] < 0), False])) if len(part) else 0
             if width >= ARM_CELLS:
                 deep = int(np.argmin([*(part[:, :width] < 0).all(axis=1), False]))

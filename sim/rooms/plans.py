@@ -23,7 +23,7 @@ from sim.rooms.placement import (
     stand,
     stand_first,
 )
-from sim.rooms.room_plan import RoomPlan, carpet, concrete, tiled_floor, tubes_and_ducts
+from sim.rooms.room_plan import RoomPlan, carpet, concrete, no_lamps, tiled_floor, tubes_and_ducts
 from sim.settings import RoomKind
 
 
@@ -179,10 +179,6 @@ def furnish_flat(room: Room) -> None:
     furnish_rooms(room, {**PLANS, **FLAT_PLANS})
 
 
-def leave(room: Room) -> None:
-    """Add nothing."""
-
-
 PLANS: dict[RoomKind, RoomPlan] = {
     "living_room": RoomPlan((7.0, 4.3, 2.65), ("plaster", "wallpaper", "plaster", "brick"), furnish_living_room),
     "bedroom": RoomPlan(
@@ -213,7 +209,7 @@ PLANS: dict[RoomKind, RoomPlan] = {
         (10.0, 8.0, 2.6),
         ("plaster",),
         furnish_flat,
-        finish_ceiling=leave,
+        finish_ceiling=no_lamps,
         draw_size=flat_plan.draw_size,
         accepts=is_reachable,
     ),

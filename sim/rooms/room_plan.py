@@ -28,6 +28,19 @@ def tubes_and_ducts(room: Room) -> None:
     _finish_ceiling(room, [ceiling.tube, ceiling.tube, ceiling.tube, ceiling.dish, ceiling.spots])
 
 
+def few_lamps(room: Room) -> None:
+    """One to three domestic lamps, by the room's size, and a smoke detector."""
+    lamps = (ceiling.globe, ceiling.dish, ceiling.spots, ceiling.chandelier, ceiling.pendant)
+    for _ in range(int(np.clip(round(room.area_m2 / 9.0), 1, 3))):
+        lamp = lamps[room.rng.integers(len(lamps))]
+        fix(room, lamp.__name__, lamp, room.height_m - 1.0)
+    fix(room, "smoke_detector", ceiling.smoke_detector, room.height_m - 0.1)
+
+
+def no_lamps(room: Room) -> None:
+    """Nothing: each part of the room has its own."""
+
+
 def _finish_ceiling(room: Room, lamps: list) -> None:
     """Lamps of different kinds, vents, a hatch and a smoke detector, in no regular pattern."""
     rng, height = room.rng, room.height_m

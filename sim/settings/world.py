@@ -14,6 +14,7 @@ RoomKind = Literal[
 RoomShape = Literal["rectangle", "l", "u", "pillar", "two_rooms"]
 MIN_ROOM_SIDE_M: dict[RoomKind, float] = {"corridor": 6.0, "labyrinth": 3.0, "flat": 7.0}
 """Smallest width and depth [m] of the kinds with walls inside, whose only shape is a rectangle."""
+_NEVER_ALIKE = {"lab": "tags", "flat": "rooms"}
 Metres = Annotated[float, Field(ge=2.0, le=30.0)]
 
 
@@ -39,8 +40,8 @@ class RoomSettings(Group):
 
     @model_validator(mode="after")
     def _walls_inside_have_room(self) -> "RoomSettings":
-        if self.kind == "lab" and self.look_alike and self.mjcf is None:
-            raise ValueError("look_alike: a lab has tags that are all different")
+        if self.kind in _NEVER_ALIKE and self.look_alike and self.mjcf is None:
+            raise ValueError(f"look_alike: a {self.kind} has {_NEVER_ALIKE[self.kind]} that are all different")
         smallest = MIN_ROOM_SIDE_M.get(self.kind)
         if smallest is None or self.mjcf is not None:
             return self

@@ -91,6 +91,8 @@ def _distance(boxes: np.ndarray, position: np.ndarray) -> np.ndarray:
 
 def _meet(boxes: np.ndarray, position: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """Distance (directions, n) [m] at which rays enter boxes that they meet."""
-    rays = np.stack([np.cos(directions), np.sin(directions)], axis=-1)[:, None]
-    rays = np.where(rays == 0.0, 1e-12, rays)
-    return np.minimum((boxes[:, 0] - position[:2]) / rays, (boxes[:, 2] - position[:2]) / rays).max(axis=-1)
+    rays = np.stack([np.cos(directions), np.sin(directions)])[..., None]
+    rays = 1.0 / np.where(rays == 0.0, 1e-12, rays)
+    low, high = (boxes[:, corner] - position[:2] for corner in (0, 2))
+    x, y = (np.minimum(low[:, axis] * rays[axis], high[:, axis] * rays[axis]) for axis in (0, 1))
+    return np.maximum(x, y)
