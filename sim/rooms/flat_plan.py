@@ -7,7 +7,7 @@ import numpy as np
 CELL_M = 0.3  # Side of the cells in which rooms grow [m]
 HALL_CELLS, SOWN_CELLS, ARM_CELLS, MIN_CELLS = 5, 4, 4, 8
 """Width of the hall, side of a room before it grows, least width of an arm of an L, least side of a living space."""
-DRAWS = 80  # Plans that are drawn; the one with the best proportions is taken
+DRAWS = 60  # Plans that are drawn; the one with the best proportions is taken
 AREA_M2 = {"living_room": 24.0, "kitchen": 13.0, "bedroom": 15.0, "bathroom": 7.0, "office": 12.0, "workshop": 12.0}
 """Usual area of each kind of room, to which the areas of a flat are in proportion."""
 NEEDED, EXTRA = ("bathroom", "living_room", "kitchen", "bedroom"), ("bedroom", "office", "bathroom", "workshop")
@@ -49,19 +49,16 @@ def draw_plan(rng: np.random.Generator, low: np.ndarray, size_m: np.ndarray) -> 
     count = int(np.clip(round(float(np.prod(size_m)) / ROOM_M2 + rng.uniform(-0.7, 0.7)), len(NEEDED), MAX_ROOMS))
     extra = sorted(rng.permutation(len(EXTRA))[: count - len(NEEDED)].tolist())
     kinds = ("hall", *NEEDED, *(EXTRA[number] for number in extra))
-    found = []
-    for _ in range(DRAWS):
-        label = _grow(rng, (rows, columns), kinds)
-        pairs = _connect(label, kinds)
-        outlines = [_trace(label == number) for number in range(len(kinds))]
-        if pairs is not None and all(map(len, outlines)):
-            found.append((_judge(label, kinds), len(found), label, pairs, outlines))
-    if not found:
-        return None
-    _, _, label, pairs, outlines = min(found)
+    drawn = [_grow(rng, (min(rows, columns), max(rows, columns)), kinds) for _ in range(DRAWS)]
+    drawn = [label.T for label in drawn] if rows > columns else drawn
     scale = size_m / (columns, rows)
-    doorways = [_place(rng, pair, _border(label, *pair), low, scale) for pair in pairs]
-    return FlatPlan(kinds, [low + scale * outline for outline in outlines], doorways)
+    for label in sorted(drawn, key=lambda label: _judge(label, kinds)):
+        outlines = [_trace(label == number) for number in range(len(kinds))]
+        pairs = _connect(label, kinds)
+        if pairs is not None and all(map(len, outlines)):
+            doorways = [_place(rng, pair, _border(label, *pair), low, scale) for pair in pairs]
+            return FlatPlan(kinds, [low + scale * outline for outline in outlines], doorways)
+    return None
 
 
 def _grow(rng: np.random.Generator, shape: tuple[int, int], kinds: tuple[str, ...]) -> np.ndarray:
@@ -99,15 +96,15 @@ def _share(kinds: tuple[str, ...]) -> np.ndarray:
 
 
 def _sow(rng: np.random.Generator, label: np.ndarray, number: int) -> None:
-    """Label a free square beside the hall, if chance finds one."""
-    for _ in range(40):
-        row, column = (int(rng.integers(size - SOWN_CELLS + 1)) for size in label.shape)
-        if (label[row : row + SOWN_CELLS, column : column + SOWN_CELLS] >= 0).any():
-            continue
-        label[row : row + SOWN_CELLS, column : column + SOWN_CELLS] = number
-        if _border(label, HALL, number)[0] == SOWN_CELLS:
-            return
-        label[row : row + SOWN_CELLS, column : column + SOWN_CELLS] = -1
+    """Label one of the free squares beside the hall, if there is one."""
+    rows, columns = np.nonzero(label == HALL)
+    first, end = rows.min(), columns.max() + 1
+    places = [(row, column) for row in (first - SOWN_CELLS, first + HALL_CELLS) for column in range(end - SOWN_CELLS)]
+    places += [(first, end), (first + 1, end)]
+    squares = [label[row : row + SOWN_CELLS, column : column + SOWN_CELLS] for row, column in places if row >= 0]
+    free = [square for square in squares if square.size == SOWN_CELLS**2 and (square < 0).all()]
+    if free:
+        free[rng.integers(len(free))][:] = number
 
 
 def _sides(label: np.ndarray, number: int) -> list[np.ndarray]:
@@ -154,6 +151,8 @@ def _judge(label: np.ndarray, kinds: tuple[str, ...]) -> float:
     cost = 20.0 * float((label < 0).mean())
     for number in range(1, len(kinds)):
         rows, columns = np.nonzero(label == number)
+        if not len(rows):
+            return np.inf
         short, long = sorted((np.ptp(rows) + 1, np.ptp(columns) + 1))
         least = SOWN_CELLS + 1 if kinds[number] == "bathroom" else MIN_CELLS
         cost += max(long / short - 1.5, 0.0) + 2.0 * max(least - short, 0) + 1.5 * (1.0 - len(rows) / (short * long))

@@ -22,7 +22,7 @@ ONE_LINE_ERRORS = [
     (["run", "living_room", "--encoder.tick-per-rev", "3"], "did you mean --encoder.ticks-per-rev?"),
     (["run", "living_room", "--room.seed"], "--room.seed needs a value"),
     (["run", "living_room", "--room.seed", "1", "2"], "--room.seed takes one value, not 1 2"),
-    (["run", "nowhere"], "scenario 'nowhere' does not exist; there are corridor, demo, lab, labyrinth"),
+    (["run", "nowhere"], "scenario 'nowhere' does not exist; there are corridor, demo, flat, lab, labyrinth"),
     (["run", "missing.yaml"], "scenario missing.yaml: no such file"),
     (["run"], "deepgps run needs a scenario first"),
     (["run", "living_room", "--out"], "--out"),

@@ -107,6 +107,8 @@ def test_a_shape_or_size_without_room_for_the_walls_is_refused() -> None:
         ({"kind": "labyrinth", "shape": "l"}, "shape l: a labyrinth"),
         ({"kind": "corridor", "depth_m": 4}, "depth_m 4: a corridor needs at least 6 m"),
         ({"kind": "labyrinth", "width_m": 2.5}, "width_m 2.5: a labyrinth needs at least 3 m"),
+        ({"kind": "flat", "width_m": 6}, "width_m 6: a flat needs at least 7 m"),
+        ({"kind": "flat", "look_alike": True}, "look_alike: a flat has rooms that are all different"),
     ):
         with pytest.raises(ValidationError, match=told):
             RoomSettings.model_validate(settings)
@@ -117,6 +119,7 @@ def test_a_shape_or_size_without_room_for_the_walls_is_refused() -> None:
     [
         *(("labyrinth", (6.0, 6.0)), pytest.param("corridor", (6.0, 6.0), marks=pytest.mark.slow)),
         *(pytest.param(kind, (15.3, 8.03), marks=pytest.mark.slow) for kind in ("labyrinth", "corridor")),
+        *(pytest.param("corridor", size, marks=pytest.mark.slow) for size in ((20.0, 10.0), (28.0, 14.0))),
     ],
 )
 def test_any_size_works(kind: str, size: tuple[float, float]) -> None:

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from sim.rooms.free_space import find_free_space
-from sim.rooms.furniture import ceiling, decor, fittings, seating, storage
+from sim.rooms.furniture import bathroom, ceiling, decor, fittings, seating, storage
 from sim.rooms.furniture.primitives import COLLISION_GROUP, make_look
 
 SIZES = {
@@ -34,7 +34,8 @@ def _list_pieces(*modules: ModuleType) -> dict[str, Callable]:
     return found
 
 
-STANDING_PIECES, HANGING_PIECES = _list_pieces(seating, storage, decor), _list_pieces(fittings)
+STANDING_PIECES = _list_pieces(seating, storage, decor, bathroom)
+HANGING_PIECES = _list_pieces(fittings)
 OVERHEAD_PIECES = _list_pieces(ceiling)
 SEEDS = range(4)
 
