@@ -26,10 +26,10 @@ class Occlusion:
             np.array([box_of(model, data, geom) for geom in range(model.ngeom)]).reshape(-1, 2, 3).swapaxes(0, 1)
         )
         turn = np.abs(data.geom_xmat.reshape(-1, 3, 3))
-        painted = np.where(model.geom_matid < 0, model.geom_rgba[:, 3], model.mat_rgba[model.geom_matid, 3])
+        opaque = (model.geom_rgba[:, 3] == 1.0) & (np.append(model.mat_rgba[:, 3], 1.0)[model.geom_matid] == 1.0)
         drawn = np.isin(model.geom_group, DRAWN_GROUPS)
         walls = drawn & (model.geom_type == mujoco.mjtGeom.mjGEOM_BOX)
-        walls &= (painted == 1.0) & (turn.max(axis=-1) > 1 - 1e-9).all(axis=-1) & (low[:, 2] <= 1e-6)
+        walls &= opaque & (turn.max(axis=-1) > 1 - 1e-9).all(axis=-1) & (low[:, 2] <= 1e-6)
         self._top_m = high[walls, 2].max(initial=0.0)
         walls &= high[:, 2] > self._top_m - 1e-6
         others = drawn & ~walls & (low[:, 2] > -1e-6) & (high[:, 2] < self._top_m + 1e-6)
