@@ -19,7 +19,6 @@ from sim.settings import RoomKind, RoomSettings, RoomShape
 
 FLOOR = "floor"
 WALL_M = 0.15
-CORNER_GAP_M = 0.002
 DOORWAY_HEIGHT_M = 2.05
 DRAWS = 10  # Most rooms drawn until one is usable
 
@@ -95,8 +94,8 @@ def _raise_walls(room: Room, plan: RoomPlan) -> None:
     walls = room.layout.walls
     for number, wall in enumerate(walls):
         body = room.spec.worldbody.add_body(name=f"wall_{number}", pos=(*wall.middle, 0.0), quat=turned(wall.yaw))
-        # A wall passes an outer corner by its thickness and ends just short of an inner one: no two faces coincide.
-        before, after = (_overlap(walls[number - 1], wall), _overlap(wall, walls[(number + 1) % len(walls)]))
+        before = walls[number - 1].overlap_m(wall, WALL_M)
+        after = wall.overlap_m(walls[(number + 1) % len(walls)], WALL_M)
         length = wall.length_m + before + after
         middle = (before - after) / 2
         finish = finishes[(number + shift) % len(finishes)]
@@ -109,12 +108,6 @@ def _raise_walls(room: Room, plan: RoomPlan) -> None:
         size = (length, WALL_M, room.height_m)
         box(body, (middle, WALL_M / 2, room.height_m / 2), size, material, solid=True)
         room.wall_bodies.append(body)
-
-
-def _overlap(wall, following) -> float:
-    """Return how far two walls that meet reach over their corner [m]."""
-    (ax, ay), (bx, by) = wall.end - wall.start, following.end - following.start
-    return WALL_M if ax * by > ay * bx else -CORNER_GAP_M
 
 
 def _close_ceiling(room: Room, plan: RoomPlan) -> None:

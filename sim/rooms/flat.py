@@ -16,7 +16,7 @@ from sim.rooms.outline import Wall, slabs
 from sim.rooms.placement import Room, surface
 from sim.rooms.room_plan import RoomPlan, few_lamps
 
-LINING_M, CORNER_GAP_M = 0.05, 0.002  # Thickness of one room's side of a wall; a wall ends short of an inner corner
+LINING_M = 0.05  # Thickness of one room's side of a wall [m]
 FLOOR_M = 0.001  # Thickness of a room's own floor [m]
 DOOR_HEIGHT_M, FRAME_M, LEAF_M = 2.05, 0.05, 0.04  # Height of a doorway, width of its frame, thickness of its door [m]
 OPEN_DEG, AJAR_DEG, AJAR_PROBABILITY = (80.0, 90.0), (55.0, 72.0), 0.35  # How far doors are open
@@ -73,16 +73,11 @@ def _part(room: Room, corners: np.ndarray, extent: tuple[np.ndarray, np.ndarray]
 
 def _open(layout: Layout, door: Doorway, depth_m: float) -> Opening:
     """Keep a doorway open, in the wall and on the floor before it; say where it is."""
-    wall = min(layout.walls, key=lambda wall: _distance(wall, door.middle))
+    wall = min(layout.walls, key=lambda wall: wall.distance_m(door.middle))
     x, half = float((door.middle - wall.middle) @ wall.along), door.width_m / 2 + FRAME_M
     wall.taken.append((x - half - 0.02, x + half + 0.02, 0.0, DOOR_HEIGHT_M + FRAME_M))
     layout.keep_open(wall, x, door.width_m + 0.2, depth_m)
     return wall, x - half, x + half, depth_m
-
-
-def _distance(wall: Wall, point: np.ndarray) -> float:
-    along = float(np.clip((point - wall.middle) @ wall.along, -wall.length_m / 2, wall.length_m / 2))
-    return float(np.linalg.norm(point - wall.middle - along * wall.along))
 
 
 def _raise_walls(part: Room, plan: RoomPlan, openings: list[Opening]) -> None:
@@ -93,23 +88,17 @@ def _raise_walls(part: Room, plan: RoomPlan, openings: list[Opening]) -> None:
         part.wall_bodies.append(body)
         finish = plan.finishes[number % len(plan.finishes)]
         colour = textures.muted(part.rng, hue + 0.382 * number) * 0.7 + 0.28 * part.rng.uniform(0.6, 1.0)
-        # x runs against the direction from start to end
-        ends = [(-1.0, _turn(wall, walls[(number + 1) % len(walls)])), (1.0, _turn(walls[number - 1], wall))]
-        first, last = (side * (wall.length_m / 2 + (LINING_M if t > 0 else -CORNER_GAP_M)) for side, t in ends)
-        gaps = sorted(gap[1:3] for gap in openings if gap[0] is wall)
-        edges = [first, *(edge for gap in gaps for edge in gap), last]
+        # x runs from the wall's end to its start
+        first = -wall.length_m / 2 - wall.overlap_m(walls[(number + 1) % len(walls)], LINING_M)
+        last = wall.length_m / 2 + walls[number - 1].overlap_m(wall, LINING_M)
+        gaps = sorted(edge for gap in openings if gap[0] is wall for edge in gap[1:3])
+        edges = [first, *gaps, last]
         for index, (left, right) in enumerate(pairwise(edges)):
             low = DOOR_HEIGHT_M + FRAME_M if index % 2 else 0.0
             size = (right - left, height - low)
             material = surface(part.look, part.rng, finish, size, colour)
             middle = ((left + right) / 2, LINING_M / 2, (low + height) / 2)
             box(body, middle, (size[0], LINING_M, size[1]), material, solid=True)
-
-
-def _turn(wall: Wall, following: Wall) -> float:
-    """Positive where two walls meet in an outer corner."""
-    (ax, ay), (bx, by) = wall.end - wall.start, following.end - following.start
-    return float(ax * by - ay * bx)
 
 
 def _lay_floor(part: Room, plan: RoomPlan) -> None:

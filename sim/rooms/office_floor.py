@@ -190,17 +190,12 @@ def _hang_doors(hall: Room, partition: Partition) -> None:
     line = [side for side in hall.layout.walls if abs(side.middle[1] - partition.at) < WALL_M]
     for door in partition.doorways:
         middle = partition.place(door)
-        sides = sorted(line, key=lambda side: _distance(side, middle))
+        sides = sorted(line, key=lambda side: side.distance_m(middle))
         hang(hall, "door", partial(_door, room=hall), near(middle), walls=sides)
 
 
 def _door(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, room: Room) -> tuple[float, float, float]:
     return wall.door(body, split(room.rng, "door"), look)
-
-
-def _distance(side: Wall, point: np.ndarray) -> float:
-    along = float(np.clip((point - side.middle) @ side.along, -side.length_m / 2, side.length_m / 2))
-    return float(np.linalg.norm(point - side.middle - along * side.along))
 
 
 def _part(room: Room, space: Space) -> Room:

@@ -9,6 +9,7 @@ import numpy as np
 from sim.settings import RoomShape
 
 DIVIDER_M, DOORWAY_M = 0.3, 0.9  # Thickness of the wall between two rooms, and width of the doorway in it [m]
+CORNER_GAP_M = 0.002
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +47,17 @@ class Wall:
     def along(self) -> np.ndarray:
         """Direction (2,) of x in the wall's own frame."""
         return np.array((np.cos(self.yaw), np.sin(self.yaw)))
+
+    def distance_m(self, point: np.ndarray) -> float:
+        """Distance from a point (2,) to the wall [m]."""
+        along = float(np.clip((point - self.middle) @ self.along, -self.length_m / 2, self.length_m / 2))
+        return float(np.linalg.norm(point - self.middle - along * self.along))
+
+    def overlap_m(self, following: "Wall", thickness_m: float) -> float:
+        """How far this wall and the one that follows reach over their corner [m]: by their thickness past an outer one,
+        while they end just short of an inner one, so that no two faces coincide."""
+        (ax, ay), (bx, by) = self.end - self.start, following.end - following.start
+        return thickness_m if ax * by > ay * bx else -CORNER_GAP_M
 
 
 def outline(shape: RoomShape, width_m: float, depth_m: float, rng: np.random.Generator) -> np.ndarray:

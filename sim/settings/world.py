@@ -8,9 +8,8 @@ from pydantic import AfterValidator, Field, PlainSerializer, model_validator
 from sim.settings.group import Group, Seed
 
 WorldName = Literal["room", "landmarks", "obstacles"]
-RoomKind = Literal[
-    *("living_room", "bedroom", "office", "kitchen", "studio", "workshop", "lab", "corridor", "labyrinth", "flat")
-]
+UndividedKind = Literal["living_room", "bedroom", "office", "kitchen", "studio", "workshop", "lab"]
+RoomKind = Literal[UndividedKind, "corridor", "labyrinth", "flat"]
 RoomShape = Literal["rectangle", "l", "u", "pillar", "two_rooms"]
 MIN_ROOM_SIDE_M: dict[RoomKind, float] = {"corridor": 6.0, "labyrinth": 3.0, "flat": 7.0}
 """Smallest width and depth [m] of the kinds with walls inside, whose only shape is a rectangle."""
