@@ -19,8 +19,8 @@ from sim.rooms.room_plan import RoomPlan, few_lamps
 LINING_M = 0.05  # Thickness of one room's side of a wall [m]
 FLOOR_M = 0.001  # Thickness of a room's own floor [m]
 DOOR_HEIGHT_M, FRAME_M, LEAF_M = 2.05, 0.05, 0.04  # Height of a doorway, width of its frame, thickness of its door [m]
-OPEN_DEG, AJAR_DEG, AJAR_PROBABILITY = (80.0, 90.0), (55.0, 72.0), 0.35  # How far doors are open
-KEPT_M = 0.6  # Floor that stays open on the side of a doorway to which its door does not open [m]
+OPENING_DEG, AJAR_DEG, AJAR_PROBABILITY = (80.0, 90.0), (55.0, 72.0), 0.35  # How far doors are open
+APPROACH_M = 0.6  # Floor that stays open on the side of a doorway to which its door does not open [m]
 ROBOT_M = (0.15, 0.4)  # Radius and height of a robot that must get into every room [m]
 CHECK_M = 0.05  # Side of the cells in which that is checked [m]
 MARK, MARK_GROUP = "in_", 5
@@ -39,7 +39,7 @@ def furnish_rooms(room: Room, plans: Mapping[str, RoomPlan]) -> None:
     leaf = paper(room.spec, textures.panels(room.rng, (192, 96), 0.4 + 0.5 * textures.muted(room.rng), (3, 2)))
     openings: list[list[Opening]] = [[] for _ in parts]
     for door in plan.doorways:
-        depths = KEPT_M, door.width_m + 0.1
+        depths = APPROACH_M, door.width_m + 0.1
         for number, depth in zip(door.rooms, depths, strict=True):
             openings[number].append(_open(parts[number].layout, door, depth))
         _hang(room, door, openings[door.rooms[1]][-1][0].yaw, leaf)
@@ -117,7 +117,7 @@ def _hang(room: Room, door: Doorway, yaw: float, leaf: str) -> None:
         at = (x * (width + FRAME_M) / 2, 0, DOOR_HEIGHT_M / 2)
         box(body, at, (FRAME_M, through, DOOR_HEIGHT_M), look.wood, solid=True)
     box(body, (0, 0, DOOR_HEIGHT_M + FRAME_M / 2), (width + 2 * FRAME_M, through, FRAME_M), look.wood)
-    angle = np.radians(rng.uniform(*(AJAR_DEG if rng.random() < AJAR_PROBABILITY else OPEN_DEG)))
+    angle = np.radians(rng.uniform(*(AJAR_DEG if rng.random() < AJAR_PROBABILITY else OPENING_DEG)))
     ahead = np.array((-side * np.cos(angle), -np.sin(angle)))
     hinge = np.array((side * width / 2, -through / 2))
     quat = turned(float(np.arctan2(ahead[1], ahead[0])))

@@ -8,7 +8,7 @@ from sim.rooms.free_space import box_of
 from sim.rooms.spec import DRAWN_GROUPS
 
 SHRUNK_M = 0.001  # Walls count as smaller by this on all sides: they hide nothing that a crack between two may show
-NEAREST_M = 0.05  # Walls nearer than this hide nothing, as the camera's near plane may cut them
+MIN_DISTANCE_M = 0.05  # Walls nearer than this hide nothing, as the camera's near plane may cut them
 MARGIN_RAD = 0.001  # What a wall hides by less than this is drawn: pixels are not exact
 FEWEST_WALLS = 5  # Fewer walls are those around one rectangle
 
@@ -42,7 +42,7 @@ class Occlusion:
     def find_hidden(self, position: np.ndarray) -> np.ndarray:
         """Mask (ngeom,) of the geoms of which a camera at a position (3,) [m] sees nothing."""
         hidden = self._nothing.copy()
-        far = _distance(self._plan, position) > NEAREST_M
+        far = _distance(self._plan, position) > MIN_DISTANCE_M
         walls, numbers = self._plan[far], self._walls[far]
         if len(walls) < FEWEST_WALLS or not 0.0 < position[2] < self._top_m:
             return hidden
@@ -65,7 +65,7 @@ class Occlusion:
         range_of = np.searchsorted(turns, first, "right") - 1, np.searchsorted(turns, last)
         seen_to = np.maximum.reduceat(np.append(np.tile(limit, 3), 0.0), np.stack(range_of, axis=1).ravel())[::2]
         near = _distance(self._boxes, position)
-        hidden[self._others] = (seen_to < near) & (near > NEAREST_M)
+        hidden[self._others] = (seen_to < near) & (near > MIN_DISTANCE_M)
         return hidden
 
 

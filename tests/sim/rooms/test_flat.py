@@ -17,7 +17,7 @@ from sim.rooms.plans import PLANS
 from sim.settings import RoomSettings
 
 RADIUS_M, HEIGHT_M = 0.105, 0.37
-SMALL = RoomSettings(kind="flat", width_m=7.0, depth_m=7.3)
+SMALL_FLAT = RoomSettings(kind="flat", width_m=7.0, depth_m=7.3)
 
 
 @pytest.fixture(autouse=True)
@@ -38,7 +38,7 @@ def draw(seed: int) -> tuple[np.ndarray, FlatPlan]:
 
 @cache
 def small() -> mujoco.MjSpec:
-    return build_room(SMALL)
+    return build_room(SMALL_FLAT)
 
 
 def area(corners: np.ndarray) -> float:
@@ -92,10 +92,10 @@ def test_flats_differ_and_some_rooms_are_l_shaped() -> None:
 
 @pytest.mark.parametrize(
     "settings",
-    [SMALL, *(pytest.param(RoomSettings(kind="flat", seed=seed), marks=pytest.mark.slow) for seed in range(20))],
+    [SMALL_FLAT, *(pytest.param(RoomSettings(kind="flat", seed=seed), marks=pytest.mark.slow) for seed in range(20))],
 )
 def test_the_robot_gets_through_every_door_into_every_room(settings: RoomSettings) -> None:
-    spec = small() if settings is SMALL else build_room(settings)
+    spec = small() if settings is SMALL_FLAT else build_room(settings)
     model = spec.compile()
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -128,7 +128,7 @@ def test_the_seed_decides_every_byte() -> None:
         mujoco.mj_saveModel(model, None, buffer)
         return buffer.tobytes()
 
-    assert save(build_room(SMALL)) == save(small())
+    assert save(build_room(SMALL_FLAT)) == save(small())
 
 
 def test_an_unusable_room_is_drawn_again_and_too_many_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,7 +9,7 @@ from sim.sensors.camera.fisheye import Fisheye
 from sim.sensors.camera.occlusion import Occlusion
 from sim.settings import CameraSettings, RoomSettings, SimSettings
 
-SMALL = {"kind": "flat", "width_m": 7.0, "depth_m": 7.3}
+SMALL_FLAT = {"kind": "flat", "width_m": 7.0, "depth_m": 7.3}
 
 
 def draw_places(world: RoomWorld, count: int) -> np.ndarray:
@@ -23,7 +23,7 @@ def draw_places(world: RoomWorld, count: int) -> np.ndarray:
 @pytest.mark.parametrize(
     ("room", "hides"),
     [
-        (SMALL, 0.4),
+        (SMALL_FLAT, 0.4),
         ({"kind": "labyrinth", "width_m": 5.0, "depth_m": 4.0}, 0.3),
         ({"kind": "bedroom", "shape": "u"}, 0.0),
         *(pytest.param({"kind": "flat", "seed": seed}, 0.5, marks=pytest.mark.slow) for seed in range(4)),
