@@ -5,12 +5,12 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "lines of sim and deepgps": 41_869,
-    "files of sim and deepgps": 287,
-    "lines of tests": 28_913,
+    "lines of sim and deepgps": 42_461,
+    "files of sim and deepgps": 292,
+    "lines of tests": 29_146,
     "Python files directly in deepgps": 2,
-    "words of decisions": 6_187,
-    "words of all other pages by hand": 20_125,
+    "words of decisions": 6_243,
+    "words of all other pages by hand": 20_238,
     "words of the reference that the code does not say": 3_370,
     "words of published results": 8_000,
 }
