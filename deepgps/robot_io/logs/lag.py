@@ -1,20 +1,19 @@
 """Wheels against images: how much later than the images the wheels are, and where both contradict each other.
 
-The turn between two images is the circular shift that makes their rings agree best. The lag is the shift in time at
-which the wheels turn as the images do in turns in place; elsewhere, neither may turn.
+The lag is the shift in time at which the wheels turn as the images do in turns in place; elsewhere, neither may turn.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
+from deepgps.data.turns import compare_headings
 from deepgps.robot_io.logs.camera import PolarSource
 from deepgps.robot_io.logs.drive import LoggedDrive
 from deepgps.terminal.progress import Report
 from sim.errors import InputError
 from sim.geometry import wrap
 
-OVERSAMPLING = 16  # Points between two sectors at which shifts are compared
 MAX_LAG_S = 0.5  # Largest lag that is looked for [s]
 STEP_S = 0.002
 OUTLIER_RAD = 0.1  # Differences from here on count no more [rad]
@@ -56,21 +55,6 @@ class Lag(NamedTuple):
     ratio: float  # How many times as far the wheels turn, as a median
 
 
-def measure_shift(first: np.ndarray, second: np.ndarray) -> float:
-    """Turn to the left between two polar images (rings, sectors, 3) of one place [rad], by cross-correlation."""
-    one, two = (np.fft.rfft(_sharpen(image), axis=1) for image in (first, second))
-    sectors = first.shape[1]
-    likely = np.fft.irfft((one * two.conj()).sum(axis=(0, 2)), sectors * OVERSAMPLING)
-    return float(wrap(2 * np.pi * np.argmax(likely) / (sectors * OVERSAMPLING)))
-
-
-def _sharpen(image: np.ndarray) -> np.ndarray:
-    """Differences along the rings, weighted by their length."""
-    light = image.astype(np.float32)
-    size = np.arange(1, len(light) + 1)[:, None, None]
-    return (light - np.roll(light, 1, axis=1)) * np.sqrt(size)
-
-
 def estimate_lag(pairs: Pairs, time_s: np.ndarray, yaw: np.ndarray) -> Lag | None:
     """The lag at which the wheels' heading (n,) [rad] at times (n,) [s] turns as the images; None: too few turns."""
     pairs = Pairs(*(values[pairs.in_turn & (np.abs(pairs.turned) > MIN_TURN_RAD)] for values in pairs))
@@ -94,22 +78,12 @@ def estimate_lag(pairs: Pairs, time_s: np.ndarray, yaw: np.ndarray) -> Lag | Non
 def compare_wheels(
     source: PolarSource, drive: LoggedDrive, given: float | str, progress: Report
 ) -> tuple[float, list[str]]:
-    """The lag that counts [s], and what the user should know of wheels and images.
-
-    Args:
-        source: Images of the log.
-        drive: Its drive.
-        given: The lag by the robot's file [s], or ``estimate``.
-        progress: Called with what is done.
-
-    Raises:
-        InputError: They contradict each other, or the lag cannot be estimated.
-    """
+    """The lag that counts [s], which is the given one or is estimated, and what the user should know of wheels and
+    images; raises InputError if they contradict each other, or the lag cannot be estimated."""
     first, second, in_turn = _pair_images(drive)
-    wanted = np.unique((first, second))
+    wanted, rows = np.unique((first, second), return_inverse=True)
     images = source.draw(wanted.tolist(), progress, "see turns")
-    rows = zip(*np.searchsorted(wanted, (first, second)), strict=True)
-    turned = np.array([measure_shift(images[one], images[other]) for one, other in rows])
+    turned = compare_headings(images, *rows.reshape(2, -1)).turn
     pairs = Pairs(drive.image_s[first], drive.image_s[second], turned, in_turn)
     time_s, path = drive.driven.wheels.time_s, drive.driven.path
     lag_s, notes = judge_pairs(pairs, time_s, path.yaw, path.travelled_m, given, source.topic)
@@ -146,19 +120,8 @@ def _pair_images(drive: LoggedDrive) -> tuple[np.ndarray, np.ndarray, np.ndarray
 def judge_pairs(
     pairs: Pairs, time_s: np.ndarray, yaw: np.ndarray, travelled_m: np.ndarray, given: float | str, topic: str
 ) -> tuple[float, list[str]]:
-    """The lag that counts [s], and what the user should know of images that do not turn with the wheels.
-
-    Args:
-        pairs: Pairs of images.
-        time_s: Times of the wheels (n,) [s].
-        yaw: Heading by the wheels (n,) [rad].
-        travelled_m: Distance by the wheels (n,) [m].
-        given: The lag by the robot's file [s], or ``estimate``.
-        topic: The images' topic.
-
-    Raises:
-        InputError: Images contradict the wheels, or do not show the lag.
-    """
+    """Like ``compare_wheels``, by pairs of images of a topic, and heading (n,) [rad] and distance (n,) [m] by the wheels
+    at times (n,) [s]."""
     seen, by_wheels, still = np.abs(pairs.turned), np.abs(pairs.follow(time_s, yaw)), MIN_TURN_RAD / 2
     turns, others = pairs.in_turn & (by_wheels > MIN_TURN_RAD), ~pairs.in_turn
     odd = others & (by_wheels < still) & (seen > OUTLIER_RAD)

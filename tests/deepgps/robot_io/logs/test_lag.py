@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from deepgps.robot_io.logs.lag import Pairs, estimate_lag, judge_pairs, measure_shift
+from deepgps.robot_io.logs.lag import Pairs, estimate_lag, judge_pairs
 from sim.errors import InputError
-from tests.helpers.robot_log import make_motion, make_texture
+from tests.helpers.robot_log import make_motion
 
 
 def see(lag_s: float, sign: float = 1.0, scale: float = 1.0) -> tuple[Pairs, np.ndarray, np.ndarray]:
@@ -52,13 +52,6 @@ def test_images_that_turn_otherwise_are_refused_and_few_show_no_lag():
     assert judge(few, time_s, yaw, 0.1) == (0.1, [])
     with pytest.raises(InputError, match="fewer than 12 pairs"):
         judge(few, time_s, yaw)
-
-
-def test_the_shift_of_two_images_is_the_turn_between_them():
-    polar = make_texture()[:16, :64]
-    for sectors in (0, 5, -9):
-        turned = measure_shift(polar, np.roll(polar, -sectors, axis=1))
-        assert turned == pytest.approx(sectors * 2 * np.pi / 64, abs=1e-6)
 
 
 def test_images_that_turn_without_the_wheels_are_refused_or_noted_with_figures():
