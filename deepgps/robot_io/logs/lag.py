@@ -120,7 +120,7 @@ def _pair_images(drive: LoggedDrive) -> tuple[np.ndarray, np.ndarray, np.ndarray
 def judge_pairs(
     pairs: Pairs, time_s: np.ndarray, yaw: np.ndarray, travelled_m: np.ndarray, given: float | str, topic: str
 ) -> tuple[float, list[str]]:
-    """Like ``compare_wheels``, by pairs of images of a topic, and heading (n,) [rad] and distance (n,) [m] by the wheels
+    """Like ``compare_wheels``, by pairs of a topic's images, and heading (n,) [rad] and distance (n,) [m] by the wheels
     at times (n,) [s]."""
     seen, by_wheels, still = np.abs(pairs.turned), np.abs(pairs.follow(time_s, yaw)), MIN_TURN_RAD / 2
     turns, others = pairs.in_turn & (by_wheels > MIN_TURN_RAD), ~pairs.in_turn

@@ -4,17 +4,15 @@ An image's time is in ``images.csv``, or its name is its time: seconds, or nanos
 Values that are empty or nan, as motion capture writes them where it sees nothing, are left out.
 """
 
-import csv
 import math
 from collections.abc import Collection, Iterator
-from decimal import Decimal
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 from deepgps.robot_io.logs.sample import Part, Sample
-from sim.errors import InputError, quote
+from sim.errors import InputError, quote, read_file
 
 IMAGES, WHEELS, POSES, TIMES = "images", "wheels.csv", "poses.csv", "images.csv"
 TYPES = {
@@ -23,12 +21,13 @@ TYPES = {
     POSES: "geometry_msgs/msg/PoseStamped",
 }
 COLUMNS = {
-    WHEELS: ("time_s", "left_rad", "right_rad"),
-    POSES: ("time_s", "x_m", "y_m", "yaw_rad"),
-    TIMES: ("time_s", "file"),
+    WHEELS: ["time_s", "left_rad", "right_rad"],
+    POSES: ["time_s", "x_m", "y_m", "yaw_rad"],
+    TIMES: ["time_s", "file"],
 }
 JOINTS = ["left", "right"]
 SUFFIXES = {".jpg", ".jpeg", ".png"}
+MAX_IMAGE_BYTES = 10**9
 SECOND_DIGITS, NANOSECOND_DIGITS = 10, 16
 """Digits of whole seconds, and of nanoseconds, since 1970; with fewer, a name is a number and no time."""
 MAX_TIME_S = 9 * 10**9  # Largest plausible time [s]: in the year 2255. Milliseconds since 1970 are larger
@@ -48,38 +47,32 @@ def open_folder(folder: Path) -> Part:
 
     def read(topics: Collection[str]) -> Iterator[Sample]:
         for topic in topics:
-            if topic == IMAGES:
-                yield from (Sample(topic, ns, ns, partial(_load, folder / IMAGES / name)) for ns, name in images)
-                continue
-            make = _make_joints if topic == WHEELS else _make_pose
-            for ns, values in _read_table(folder / topic):
-                numbers = [float(value) if value.strip() else math.nan for value in values]
-                yield Sample(topic, ns, ns, partial(make, *numbers))
+            rows = images if topic == IMAGES else _read_table(folder / topic)
+            yield from (Sample(topic, ns, ns, partial(_make_message, folder, topic, *values)) for ns, *values in rows)
 
     types = {name: kind for name, kind in TYPES.items() if (folder / name).exists()}
     return Part(folder, types, {IMAGES: len(images)}, read)
 
 
-def _load(image: Path) -> Any:
-    if not image.exists():
-        raise InputError(f"{image} is missing")
-    return SimpleNamespace(format="", data=image.read_bytes())
-
-
-def _make_joints(left: float, right: float) -> Any:
-    return SimpleNamespace(name=JOINTS, position=[left, right])
-
-
-def _make_pose(x: float, y: float, yaw: float) -> Any:
-    yaw = yaw if math.isfinite(yaw) else math.nan  # which the reader of poses leaves out
+def _make_message(folder: Path, topic: str, *values: str) -> Any:
+    if topic == IMAGES:
+        return SimpleNamespace(
+            format="", data=read_file(path := folder / IMAGES / values[0], MAX_IMAGE_BYTES, str(path))
+        )
+    numbers = [float(value or math.nan) for value in values]
+    if topic == WHEELS:
+        return SimpleNamespace(name=JOINTS, position=numbers)
+    x, y, yaw = (
+        value if math.isfinite(value) else math.nan for value in numbers
+    )  # which the reader of poses leaves out
     turn = SimpleNamespace(x=0.0, y=0.0, z=math.sin(yaw / 2), w=math.cos(yaw / 2))
-    return SimpleNamespace(pose=SimpleNamespace(position=SimpleNamespace(x=x, y=y, z=0.0), orientation=turn))
+    return SimpleNamespace(pose=SimpleNamespace(position=SimpleNamespace(x=x, y=y), orientation=turn))
 
 
 def _list_images(folder: Path) -> list[tuple[int, str]]:
     """Time [ns] and name of each image, by time."""
     if (folder / TIMES).is_file():
-        return sorted((ns, name.strip()) for ns, (name,) in _read_table(folder / TIMES) if name.strip())
+        return sorted((ns, name) for ns, name in _read_table(folder / TIMES) if name)
     files = [one for one in (folder / IMAGES).iterdir() if one.suffix.lower() in SUFFIXES]
     files = [one for one in files if not one.name.startswith("._")]  # which macOS adds
     if len(files) > 2 and all(one.stem.isdecimal() and len(one.stem) < SECOND_DIGITS for one in files):
@@ -94,8 +87,8 @@ def _read_name(image: Path) -> int:
     """The time that an image's name tells [ns]."""
     in_ns = image.stem.isdecimal() and len(image.stem) >= NANOSECOND_DIGITS
     try:
-        ns = int(image.stem) if in_ns else _read_ns(image.stem)
-    except (ArithmeticError, ValueError):
+        ns = int(image.stem) if in_ns else round(float(image.stem) * 1e9)
+    except (OverflowError, ValueError):
         raise InputError(f"{image}: its name is no time [s], and there is no {TIMES}") from None
     if abs(ns) > MAX_TIME_S * 10**9 or (in_ns and UPTIME_NS <= ns < SINCE_1970_NS):
         raise InputError(
@@ -104,35 +97,27 @@ def _read_name(image: Path) -> int:
     return ns
 
 
-def _read_ns(seconds: str) -> int:
-    return round(Decimal(seconds.strip()) * 10**9)
-
-
-def _read_table(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """Time [ns] and values of the rows of a CSV file; raises InputError that names the first wrong line."""
+def _read_table(path: Path) -> Iterator[tuple[Any, ...]]:
+    """Time [ns] and cells of the rows of a CSV file; raises InputError that names the first wrong line, unless it is
+    the last, which was cut off."""
     columns, wrong = COLUMNS[path.name], ""
-    with path.open(newline="", encoding="utf-8-sig") as file:
-        reader = csv.reader(file)
-        try:
-            head = next(reader, [])
-            if tuple(name.strip() for name in head) != columns:
-                raise InputError(f"{path}: its first line must be {','.join(columns)}, and is {quote(','.join(head))}")
-            for row in filter(None, reader):
-                if wrong:
-                    raise InputError(wrong)
-                where = f"{path}: line {reader.line_num}"
-                try:
-                    [float(value) for value in (() if path.name == TIMES else row) if value.strip()]
-                    time_s = Decimal(row[0].strip())
-                    if len(row) != len(columns) or time_s.is_infinite():
-                        raise ValueError
-                except (ArithmeticError, ValueError):  # a last line was cut off; any other is an error
-                    wrong = f"{where} must be {','.join(columns)}, and is {quote(row)}"
-                    continue
-                if time_s.is_nan():
-                    continue
-                if abs(time_s) > MAX_TIME_S:
-                    raise InputError(f"{where}: time_s {quote(row[0])} must be seconds; is it in ms or ns?")
-                yield _read_ns(row[0]), row[1:]
-        except (csv.Error, UnicodeDecodeError) as error:  # a file is decoded in blocks, before lines are counted
-            raise InputError(f"{path}: after line {reader.line_num}: {error}") from None
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        head = [name.strip() for name in file.readline().split(",")]
+        if head != columns:
+            raise InputError(f"{path}: its first line must be {','.join(columns)}, and is {quote(','.join(head))}")
+        for number, line in enumerate(file, start=2):
+            if not line.strip():
+                continue
+            if wrong:
+                raise InputError(wrong)
+            cells = [cell.strip() for cell in line.split(",")]
+            try:
+                numbers = [float(cell or math.nan) for cell in (cells[:1] if path.name == TIMES else cells)]
+            except ValueError:
+                numbers = [math.inf]
+            if len(cells) != len(columns) or math.isinf(numbers[0]):
+                wrong = f"{path}: line {number} must be {','.join(columns)}, and is {quote(line.strip())}"
+            elif abs(numbers[0]) > MAX_TIME_S:
+                raise InputError(f"{path}: line {number}: time_s {quote(cells[0])} must be seconds; is it in ms or ns?")
+            elif not math.isnan(numbers[0]):
+                yield round(numbers[0] * 1e9), *cells[1:]

@@ -133,8 +133,8 @@ def times_of(folder: Path, names: Sequence[str], listed: Sequence[str] = (), whe
 def test_a_plain_file_that_cannot_be_read_is_named_with_its_line(tmp_path: Path) -> None:
     for rows, message in (
         ("0.0,0.0,one\n0.1", r"wheels\.csv: line 2 must be time_s,left_rad"),
-        ("0.1,0,0\n\udcff" + "0" * 9000, r"wheels\.csv: after line \d+: .utf-8. codec"),
-        ("0.1,0,0\n" + "1" * 140_000, r"wheels\.csv: after line \d+: field larger"),
+        ("0.1,0,0\n\udcff" + "0" * 9000 + "\n1", r"wheels\.csv: line 3 must be time_s,left_rad"),
+        ("0.1,0,0\n" + "1" * 140_000 + ",\n1", r"wheels\.csv: line 3 must be time_s,left_rad"),
     ):
         with pytest.raises(InputError, match=message):
             times_of(tmp_path / "log", ["1.5"], wheels=rows)
