@@ -11,7 +11,7 @@ import re
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -27,9 +27,8 @@ from sim.recording.format import Report, open_truth
 from sim.recording.renderers import Part, Renderers, count_renderers
 from sim.rng import stream
 from sim.robot.model import TRACK_M, WHEEL_RADIUS_M, WHEELS
-from sim.robot.range_finder import ANGLE, REACH_M
 from sim.robot_log import mcap_file as mcap
-from sim.robot_log.mcap_file import BASE_FRAME, CAMERA_FRAME, JOINTS, MAP_FRAME, Topic
+from sim.robot_log.mcap_file import JOINTS, Topic
 from sim.robot_log.observe import (
     COLUMNS,
     RECORDER,
@@ -174,68 +173,54 @@ def _observe(
         total = len(parts) * PART_PICTURES
         renderers.finish(lambda drawn: progress("log render", (len(whole) + drawn) * PART_PICTURES, total))
     progress("log render", total, total)
-    camera = list_camera_topics(taken, settings, seed, [part.path for part in parts])
-    base = make_base_clock(seed)
-    return [*camera, *list_wheel_topics(trace, world, seed, base), *list_truth_topics(trace, seed)]
+    wheels, truth = make_wheel_topic(trace, world, seed, make_base_clock(seed)), make_truth_topic(trace, seed)
+    return [*list_camera_topics(taken, settings, seed, [part.path for part in parts]), wheels, truth]
 
 
-JOINT_S, PICTURE_S, RAY_S, TRUTH_S = 0.05, 0.1, 0.2, 0.05
-"""Periods of the wheels (TurtleBot3: 20 Hz), the pictures, the rays and the truth [s]."""
+JOINT_S, PICTURE_S, TRUTH_S = 0.05, 0.1, 0.05
+"""Periods of the wheels (TurtleBot3: 20 Hz), the pictures and the truth [s]."""
 JPEG_FORMAT = "rgb8; jpeg compressed bgr8"
 PART_PICTURES = 256
-RAY_HEIGHT_M = 0.1
-"""Height of the rays' frames above the floor; what they measure is the nearest at any height of the robot [m]."""
 BASE_LATENCY_S, PICTURE_LATENCY_S, TRUTH_LATENCY_S = (0.002, 0.002), (0.025, 0.005), (0.001, 0.0)
 """How much later than its stamp a message is recorded: at least, and on average in addition [s]. A picture is
 compressed first."""
 
 
 def list_camera_topics(time: np.ndarray, settings: SimSettings, seed: int, parts: Sequence[Path]) -> list[Topic]:
-    """Pictures taken at times (n,) [s] and calibration, and once where the sensors are on the robot."""
-    camera, mount, lens = settings.camera, settings.camera_mount, make_lens(settings.camera)
-    stamp, logged = RECORDER.read(time), _arrive(time, PICTURE_LATENCY_S, seed, "picture")
-    # The camera's axes: to the right in the image is the robot's left, down in the image is its back.
-    frames = [(BASE_FRAME, CAMERA_FRAME, (mount.ahead_m, mount.left_m, camera.height_m), np.pi / 2)]
-    frames += [(BASE_FRAME, _ray_frame(ray), (0.0, 0.0, RAY_HEIGHT_M), angle) for ray, angle in enumerate(ANGLE)]
-    start = RECORDER.read(np.zeros(1))
+    """Pictures taken at times (n,) [s], and their calibration."""
+    lens, stamp = make_lens(settings.camera), RECORDER.read(time)
+    logged = _arrive(time, PICTURE_LATENCY_S, seed, "picture")
     read = lru_cache(maxsize=1)(read_pictures)  # rows are asked for in order
 
     def take_picture(row: int) -> Any:
-        return mcap.make_compressed_image(
-            stamp[row], read(parts[row // PART_PICTURES])[row % PART_PICTURES], JPEG_FORMAT
-        )
+        picture = read(parts[row // PART_PICTURES])[row % PART_PICTURES]
+        return mcap.make_compressed_image(stamp[row], picture, JPEG_FORMAT)
 
     def describe_camera(row: int) -> Any:
         return mcap.make_camera_info(stamp[row], (ROWS, COLUMNS), lens.focal_length(ROWS / 2), lens.k)
 
     return [
-        Topic("/tf_static", start, lambda row: mcap.make_transforms(start[row], frames)),
         Topic("/camera/camera_info", logged, describe_camera),
         Topic("/camera/image_raw/compressed", logged, take_picture),
     ]
 
 
-def list_wheel_topics(trace: Trace, world: TracedWorld, seed: int, base: Clock) -> list[Topic]:
-    """Wheel angles by ticks, of which a reading that never arrives is missing, and rays, by the clock of these two."""
-    (joint_time, joint_state), (ray_time, ray_state) = (trace.find(base, period_s) for period_s in (JOINT_S, RAY_S))
-    encoder, rng = world.settings.encoder, stream(seed, "log", "encoder")
-    ticks, arrived = read_encoders(joint_state[:, find_wheels(world)], WHEEL_RADIUS_M, encoder, rng)
+def make_wheel_topic(trace: Trace, world: TracedWorld, seed: int, clock: Clock) -> Topic:
+    """Wheel angles by ticks, of which a reading that never arrives is missing, by the clock of their computer."""
+    (time, state), encoder = trace.find(clock, JOINT_S), world.settings.encoder
+    ticks, arrived = read_encoders(
+        state[:, find_wheels(world)], WHEEL_RADIUS_M, encoder, stream(seed, "log", "encoder")
+    )
     angle = ticks * (2 * np.pi / encoder.ticks_per_rev)
     rim_mps = np.diff(angle, axis=0, prepend=angle[:1]) * (WHEEL_RADIUS_M / JOINT_S)
     read = np.flatnonzero(arrived[:-1])
-    joint_time = joint_time[read + 1]
-    joint_stamp, ray_stamp = base.read(joint_time), base.read(ray_time)
-    fans = [world.ranges_at(pose).reshape(-1, len(ANGLE)).min(axis=0) for pose in planar_pose(ray_state)]
+    time = time[read + 1]
+    stamp = clock.read(time)
 
-    def read_joints(row: int) -> Any:
-        return mcap.make_joint_state(joint_stamp[row], JOINTS, angle[read[row]], rim_mps[read[row]])
+    def make(row: int) -> Any:
+        return mcap.make_joint_state(stamp[row], JOINTS, angle[read[row]], rim_mps[read[row]])
 
-    def measure(ray: int, row: int) -> Any:
-        return mcap.make_range(ray_stamp[row], _ray_frame(ray), float(fans[row][ray]), REACH_M)
-
-    logged = _arrive(ray_time, BASE_LATENCY_S, seed, "ray")
-    rays = [Topic(f"/range/{_ray_frame(ray)}", logged, partial(measure, ray)) for ray in range(len(ANGLE))]
-    return [Topic("/joint_states", _arrive(joint_time, BASE_LATENCY_S, seed, "joint"), read_joints), *rays]
+    return Topic("/joint_states", _arrive(time, BASE_LATENCY_S, seed, "joint"), make)
 
 
 def find_wheels(world: TracedWorld) -> list[int]:
@@ -243,23 +228,12 @@ def find_wheels(world: TracedWorld) -> list[int]:
     return [world.model.joint(ROBOT_PREFIX + name).qposadr[0] for name in WHEELS]
 
 
-def list_truth_topics(trace: Trace, seed: int) -> list[Topic]:
+def make_truth_topic(trace: Trace, seed: int) -> Topic:
     """The truth, as a tracking system would record it on the same computer as the pictures."""
     time, state = trace.find(RECORDER, TRUTH_S)
-    pose, stamp, logged = planar_pose(state), RECORDER.read(time), _arrive(time, TRUTH_LATENCY_S, seed, "truth")
-
-    def transform(row: int) -> Any:
-        x, y, yaw = pose[row].tolist()
-        return mcap.make_transforms(stamp[row], [(MAP_FRAME, BASE_FRAME, (x, y, 0.0), yaw)])
-
-    truth = Topic("/ground_truth/pose", logged, lambda row: mcap.make_pose(stamp[row], pose[row]))
-    return [truth, Topic("/tf", logged, transform)]
-
-
-def _ray_frame(ray: int) -> str:
-    """Name of a ray by its direction [deg]; as a name, with left and right in place of a sign."""
-    degrees = round(np.degrees(ANGLE[ray]))
-    return f"ray_{'right' if degrees < 0 else 'left'}_{abs(degrees):02d}"
+    pose, stamp = planar_pose(state), RECORDER.read(time)
+    logged = _arrive(time, TRUTH_LATENCY_S, seed, "truth")
+    return Topic("/ground_truth/pose", logged, lambda row: mcap.make_pose(stamp[row], pose[row]))
 
 
 def _arrive(time_s: np.ndarray, latency_s: tuple[float, float], seed: int, name: str) -> np.ndarray:

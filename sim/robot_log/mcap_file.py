@@ -14,9 +14,7 @@ from rosbags.typesys.stores import ros2_humble as ros
 
 from sim.files.atomic import PART, write_atomic
 
-CAMERA_FRAME, BASE_FRAME, MAP_FRAME = "camera", "base_footprint", "map"
 JOINTS = ("wheel_left_joint", "wheel_right_joint")
-INFRARED = 1  # Kind of radiation in a message of a range
 
 
 def make_joint_state(ns: int, names: Sequence[str], angle: np.ndarray, rim_mps: np.ndarray) -> Any:
@@ -25,7 +23,7 @@ def make_joint_state(ns: int, names: Sequence[str], angle: np.ndarray, rim_mps: 
     return ros.sensor_msgs__msg__JointState(header, list(names), angle.astype(float), rim_mps, np.empty(0))
 
 
-def make_compressed_image(ns: int, data: np.ndarray, form: str, frame: str = CAMERA_FRAME) -> Any:
+def make_compressed_image(ns: int, data: np.ndarray, form: str, frame: str = "camera") -> Any:
     """An image as the bytes of a file (n,) uint8 of the format ``form``."""
     return ros.sensor_msgs__msg__CompressedImage(_header(ns, frame), form, data)
 
@@ -37,18 +35,12 @@ def make_camera_info(ns: int, shape: tuple[int, int], focal_px: float, k: Sequen
     projection = np.column_stack([matrix, np.zeros(3)]).reshape(-1)
     matrices = np.array(k, float), matrix.reshape(-1), np.eye(3).reshape(-1), projection
     whole = ros.sensor_msgs__msg__RegionOfInterest(0, 0, 0, 0, False)
-    return ros.sensor_msgs__msg__CameraInfo(_header(ns, CAMERA_FRAME), *shape, "equidistant", *matrices, 0, 0, whole)
-
-
-def make_range(ns: int, frame: str, distance_m: float, reach_m: float) -> Any:
-    """The distance along one ray; as REP-117 asks, infinite if nothing is within reach."""
-    distance_m = distance_m if distance_m < reach_m else np.inf
-    return ros.sensor_msgs__msg__Range(_header(ns, frame), INFRARED, 0.0, 0.0, reach_m, distance_m)
+    return ros.sensor_msgs__msg__CameraInfo(_header(ns, "camera"), *shape, "equidistant", *matrices, 0, 0, whole)
 
 
 def make_pose(ns: int, pose: np.ndarray) -> Any:
     """A planar pose (3,) in the frame of the map."""
-    return ros.geometry_msgs__msg__PoseStamped(_header(ns, MAP_FRAME), _pose(pose))
+    return ros.geometry_msgs__msg__PoseStamped(_header(ns, "map"), _pose(pose))
 
 
 def make_uncertain_pose(ns: int, pose: np.ndarray, covariance: np.ndarray) -> Any:
@@ -56,16 +48,7 @@ def make_uncertain_pose(ns: int, pose: np.ndarray, covariance: np.ndarray) -> An
     full, rows = np.zeros((6, 6)), [0, 1, 5]
     full[np.ix_(rows, rows)] = covariance
     inner = ros.geometry_msgs__msg__PoseWithCovariance(_pose(pose), full.reshape(-1))
-    return ros.geometry_msgs__msg__PoseWithCovarianceStamped(_header(ns, MAP_FRAME), inner)
-
-
-def make_transforms(ns: int, frames: Sequence[tuple[str, str, Sequence[float], float]]) -> Any:
-    """Transforms, each from a parent to a child frame: translation (3,) [m], and rotation about z [rad]."""
-    transforms = []
-    for parent, child, place, yaw in frames:
-        moved = ros.geometry_msgs__msg__Transform(ros.geometry_msgs__msg__Vector3(*place), _turn_about_z(yaw))
-        transforms.append(ros.geometry_msgs__msg__TransformStamped(_header(ns, parent), child, moved))
-    return ros.tf2_msgs__msg__TFMessage(transforms)
+    return ros.geometry_msgs__msg__PoseWithCovarianceStamped(_header(ns, "map"), inner)
 
 
 def _header(ns: int, frame: str) -> Any:

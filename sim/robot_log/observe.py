@@ -1,8 +1,8 @@
 """What the robot's two computers observe of a repeated drive, each stamped by its own clock; unsynchronised.
 
-The computer with the camera records the log. The one with the wheels and the rays stamps its messages by a clock that
-differs from the recorder's by a few seconds and runs a little faster or slower. Worker processes draw and compress the
-raw pictures, a file for each few hundred.
+The computer with the camera records the log. The one with the wheels has a clock that differs from the recorder's by a
+few seconds and runs a little faster or slower. Worker processes draw and compress the raw pictures, a file for each few
+hundred.
 """
 
 import zlib

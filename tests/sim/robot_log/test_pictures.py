@@ -61,7 +61,7 @@ def test_opencv_projects_as_the_camera_info_says():
     lens = make_lens(CameraSettings(distortion=(0.05, 0.0, 0.0, 0.0)))
     focal_px = lens.focal_length(ROWS / 2)
     matrix = np.array([[focal_px, 0, (COLUMNS - 1) / 2], [0, focal_px, (ROWS - 1) / 2], [0, 0, 1]])
-    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # of /tf_static: 90 degrees about z
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # by 90 degrees about z
     robot = np.array([[1.0, 0.0, 2.0], [0.0, 1.0, 2.0]])  # in front, and to the left
     seen, _ = cv2.fisheye.projectPoints((robot @ turn)[:, None], np.zeros(3), np.zeros(3), matrix, np.array(lens.k))
     ahead, left = seen[:, 0] - matrix[:2, 2]

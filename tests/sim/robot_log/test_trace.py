@@ -10,9 +10,8 @@ from sim.recording.chunks import drive_chunk
 from sim.recording.turns import KINDS
 from sim.rng import stream
 from sim.robot.model import TRACK_M, WHEEL_RADIUS_M
-from sim.robot.range_finder import REACH_M
 from sim.robot.world import RoomWorld
-from sim.robot_log.log import JOINT_S, PICTURE_S, RAY_S, find_wheels, list_wheel_topics
+from sim.robot_log.log import JOINT_S, PICTURE_S, find_wheels
 from sim.robot_log.observe import (
     DRIFT,
     EPOCH_NS,
@@ -58,7 +57,7 @@ def test_tracing_changes_no_bit_of_the_drive_and_keeps_every_step(drive):
 @pytest.mark.parametrize("clock", [RECORDER, BASE])
 def test_everything_is_read_at_its_rate_from_the_beginning_to_the_end(drive, clock):
     _, found, _ = drive
-    for period_s in (JOINT_S, PICTURE_S, RAY_S):
+    for period_s in (JOINT_S, PICTURE_S):
         time, state = found.find(clock, period_s)
         np.testing.assert_allclose(np.diff(time), period_s, atol=0.0051)
         assert time[0] < 2 * period_s
@@ -73,14 +72,6 @@ def test_wheels_and_truth_tell_the_same_way(drive):
     wheels = state[:, find_wheels(world)]
     turned = (wheels[:, 1] - wheels[:, 0]) * WHEEL_RADIUS_M / TRACK_M
     assert np.median(np.abs(np.diff(turned) - np.diff(np.unwrap(planar_pose(state)[:, 2])))) < 0.002
-
-
-def test_rays_are_the_nearest_of_the_range_finder(drive):
-    world, found, _ = drive
-    topics = list_wheel_topics(found, world, 0, BASE)
-    measured = [topic.make(7).range for topic in topics if topic.name.startswith("/range")]
-    nearest = world.ranges_at(planar_pose(found.find(BASE, RAY_S)[1][7])).reshape(-1, len(measured)).min(axis=0)
-    np.testing.assert_array_equal(measured, np.where(nearest < REACH_M, nearest, np.inf))
 
 
 def test_a_recording_knows_nothing_of_the_way_along_an_arc():
