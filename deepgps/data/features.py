@@ -88,21 +88,23 @@ def describe(
         raise InputError(
             f"observations must be (N, rings, sectors, colours), (N, headings, rays) or (N, M), not {array.shape}"
         )
+    sectors = image.shape[3]
+    return describe_rings(image, make_waves(sectors, min(frequencies, sectors // 2)))
+
+
+def describe_rings(
+    image: torch.Tensor, wave: torch.Tensor, least: torch.Tensor | float = PRODUCT_FLOOR
+) -> torch.Tensor:
+    """Description (N, K) of images (N, rings, colours, sectors) float32 by ``make_waves``, as ONNX can express it."""
     count, rings, colours, sectors = image.shape
-    wave = make_waves(sectors, min(frequencies, sectors // 2))
-    real, imaginary = (image.view(-1, sectors) @ wave).view(count, rings, colours, 2, -1).unbind(dim=3)
-    size = (real.square() + imaginary.square()).sqrt_()
+    real, imaginary = (image.reshape(-1, sectors) @ wave).view(count, rings, colours, 2, -1).unbind(dim=3)
+    size = (real.square() + imaginary.square()).sqrt()
     a, b, c, d = real[:, :-1, :, 1:], imaginary[:, :-1, :, 1:], real[:, 1:, :, 1:], imaginary[:, 1:, :, 1:]
     # A product's amplitude to the power 1/4 is comparable to a magnitude's square root; its phase is kept.
-    half = (size[:, :-1, :, 1:] * size[:, 1:, :, 1:]).add_(PRODUCT_FLOOR).sqrt_()
-    shrink = (half * half.sqrt()).reciprocal_()
-    described = torch.empty((count, size[0].numel() + 2 * shrink[0].numel()))
-    magnitude, product = described.split([size[0].numel(), 2 * shrink[0].numel()], dim=1)
-    torch.sqrt(size.flatten(1), out=magnitude)
-    product = product.view(*shrink.shape, 2)
-    torch.mul(a * c + b * d, shrink, out=product[..., 0])
-    torch.mul(b * c - a * d, shrink, out=product[..., 1])
-    return described
+    half = (size[:, :-1, :, 1:] * size[:, 1:, :, 1:] + least).sqrt()
+    shrink = (half * half.sqrt()).reciprocal()
+    product = torch.stack([(a * c + b * d) * shrink, (b * c - a * d) * shrink], dim=4)
+    return torch.cat([size.sqrt().flatten(1), product.flatten(1)], dim=1)
 
 
 @lru_cache(maxsize=8)
@@ -248,20 +250,17 @@ def solve_generalised(a: torch.Tensor, b: torch.Tensor) -> tuple[torch.Tensor, t
 
 
 def rank_values(image: torch.Tensor) -> torch.Tensor:
-    """Replace each value (N, ...) uint8 of an image by the share of its values, of all colours, that are darker.
+    """Replace each value (N, ...), 0 to 255, of an image by the share of its values, of all colours, that are darker.
 
     Equal values share the mean of their ranks; the result is float32 between 0 and 255, with a mean of 127.5. Light,
     exposure and gamma change what a pixel's value is, and rarely which of two pixels is brighter. This is histogram
     equalisation (Hummel, "Image enhancement by histogram transformation", Computer Graphics and Image Processing 6(2),
     1977).
     """
-    flat = image.flatten(1)
-    count, size = flat.shape
-    own = 256 * torch.arange(count, dtype=torch.int32)
-    place = (flat.int() + own[:, None]).view(-1)
-    values = torch.bincount(place, minlength=256 * count).view(count, 256)
-    ranks = ((values.cumsum(dim=1) - values / 2) * (255.0 / size)).float()
-    return ranks.view(-1).index_select(0, place).view(image.shape)
+    place = image.long().flatten(1)
+    count = torch.zeros((len(place), 256)).scatter_add(1, place, torch.ones(place.shape))
+    darker = (count.cumsum(dim=1) - count / 2) * (255.0 / place.shape[1])
+    return darker.gather(1, place).view(image.shape)
 
 
 GAIN_STD, COLOUR_GAIN_STD = 0.4, 0.1

@@ -3,7 +3,7 @@
 import torch
 from torch import nn
 
-from deepgps.data.features import PRODUCT_FLOOR, Features, make_waves
+from deepgps.data.features import PRODUCT_FLOOR, Features, describe_rings, make_waves, rank_values
 from deepgps.positioner.positioner import FeaturePositioner, NetworkPositioner
 
 
@@ -54,20 +54,5 @@ class FeatureModule(nn.Module):
     def forward(self, image: torch.Tensor) -> torch.Tensor:
         """Features (B, components) of images (B, rings, sectors, 3) float32."""
         image = image.transpose(2, 3)
-        image = _rank_values(image) if self.by_rank else image
-        real, imaginary = (image @ self.wave).chunk(2, dim=3)
-        size = (real.square() + imaginary.square()).sqrt()
-        a, b, c, d = real[:, :-1, :, 1:], imaginary[:, :-1, :, 1:], real[:, 1:, :, 1:], imaginary[:, 1:, :, 1:]
-        half = (size[:, :-1, :, 1:] * size[:, 1:, :, 1:] + self.least).sqrt()
-        shrink = (half * half.sqrt()).reciprocal()
-        product = torch.stack([(a * c + b * d) * shrink, (b * c - a * d) * shrink], dim=4)
-        described = torch.cat([size.sqrt().flatten(1), product.flatten(1)], dim=1)
+        described = describe_rings(rank_values(image) if self.by_rank else image, self.wave, self.least)
         return (described - self.mean) @ self.basis
-
-
-def _rank_values(image: torch.Tensor) -> torch.Tensor:
-    """``data.ranks.rank_values`` of images (B, rings, colours, sectors)."""
-    place = image.long().flatten(1)
-    count = torch.zeros((len(place), 256)).scatter_add(1, place, torch.ones(place.shape))
-    darker = (count.cumsum(dim=1) - count / 2) * (255.0 / place.shape[1])
-    return darker.gather(1, place).view(image.shape)
