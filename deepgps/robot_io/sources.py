@@ -14,10 +14,9 @@ import numpy as np
 from deepgps.data.checks import check_view
 from deepgps.robot_io.logs.camera import PolarSource, open_polar
 from deepgps.robot_io.logs.containers import open_log
-from deepgps.robot_io.logs.drive import LoggedDrive, find_drive
-from deepgps.robot_io.logs.importing import open_images, read_times
+from deepgps.robot_io.logs.drive import LoggedDrive, read_drive
 from deepgps.robot_io.logs.lag import compare_wheels
-from deepgps.robot_io.logs.pictures import decode_file, take_images
+from deepgps.robot_io.logs.pictures import decode_file, list_images, take_images
 from deepgps.robot_io.logs.robot_config import RobotConfig, load_config
 from deepgps.robot_io.logs.sample import Heard
 from deepgps.robot_io.logs.segmentation import Path as Odometry
@@ -161,15 +160,14 @@ def open_source(
     view = {"field_of_view_deg": robot.camera.field_of_view_deg or field_of_view_deg}
     robot = robot.model_copy(update={"camera": robot.camera.model_copy(update=view), "pose": None})
     with open_log(path) as log:
-        if not with_odometry:
-            listed = open_images(log, robot.camera.topic)
-            log.feed({listed.topic: listed.take}, progress)
-            listed.check()
-            yield LogSource(open_polar(log, robot.camera), listed, None)
+        if with_odometry:
+            drive, polar = read_drive(log, robot, progress), open_polar(log, robot.camera)
+            yield LogSource(polar, drive.listed, _follow(robot, drive, polar, progress))
             return
-        wheels, listed, _ = read_times(log, robot, progress)
-        drive, polar = find_drive(robot, wheels, listed, None), open_polar(log, robot.camera)
-        yield LogSource(polar, listed, _follow(robot, drive, polar, progress))
+        listed = list_images(log, robot.camera.topic)
+        log.feed({listed.topic: listed.take}, progress)
+        listed.check()
+        yield LogSource(open_polar(log, robot.camera), listed, None)
 
 
 def _follow(robot: RobotConfig, drive: LoggedDrive, polar: PolarSource, progress: Report) -> Odometry:

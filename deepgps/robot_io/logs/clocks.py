@@ -28,11 +28,11 @@ MIN_CLOCK_RATE = 0.01
 class Times:
     """Times of a topic's messages, in the order of the files."""
 
-    topic: str  # The topic
+    topic: str
     log_s: np.ndarray  # When each was logged (n,) [s], from the first message of the log
     stamp_s: np.ndarray  # Its stamp (n,) [s], from the first stamp of the log; NaN where it is missing
 
-    @property
+    @cached_property
     def late_s(self) -> np.ndarray:
         """Delays (n,) [s], but for a constant of the log."""
         return self.log_s - self.stamp_s
@@ -123,8 +123,8 @@ class Times:
         worst = int(np.argmax(np.abs(apart)))
         if abs(apart[worst]) < MAX_STEP_S + self.period_s + other.period_s:
             return None
-        how = f"by {apart[worst]:+.3f} s at {log_s[worst]:.1f} s"
-        return f"the clock of {other.topic} differs from that of {self.topic} {how}"
+        difference = f"differs from that of {self.topic} by {apart[worst]:+.3f} s at {log_s[worst]:.1f} s"
+        return f"the clock of {other.topic} {difference}"
 
     def take_logged(self) -> tuple[np.ndarray, str | None]:
         """Times by the recorder's clock (n,) [s], and what is wrong with them: stamps advance otherwise.
@@ -134,19 +134,15 @@ class Times:
         log_s = self.log_s
         if not self.is_stamped:
             together = np.count_nonzero(np.diff(np.sort(log_s)) <= GROUP_SHARE * self.period_s)
-            bursts = 2 * together > len(log_s)
-            return log_s, f"{self.topic}: messages without stamps were logged in bursts" if bursts else None
+            fault = f"{self.topic}: messages without stamps were logged in bursts"
+            return log_s, fault if 2 * together > len(log_s) else None
         rows, _, wrong = self.groups
         least = minimum_filter(self.late_s[rows], TREND_MESSAGES)
         found = np.where(wrong, np.nan, self.stamp_s + np.interp(log_s, log_s[rows], least))
         found[rows] = np.where(self.late_s[rows] - least > MAX_STEP_S, log_s[rows], found[rows])
         uneven = int((np.abs(np.diff(found[rows]) - np.diff(self.stamp_s[rows])) > MAX_STEP_S).sum())
-        if uneven <= max(MAX_OUTLIER_SHARE * len(log_s), 2):
-            return found, None
-        return (
-            found,
-            f"{self.topic}: times of logging and stamps advance differently at {uneven} of {len(log_s)} messages",
-        )
+        fault = f"{self.topic}: times of logging and stamps advance differently at {uneven} of {len(log_s)} messages"
+        return found, fault if uneven > max(MAX_OUTLIER_SHARE * len(log_s), 2) else None
 
 
 class Clocked(NamedTuple):
@@ -155,15 +151,12 @@ class Clocked(NamedTuple):
     time_s: dict[str, np.ndarray]  # Time of each message by topic (n,) [s]; NaN: not known
     notes: list[str]  # What was left out
     start_ns: int  # From when times count [ns since 1970]
-    offset_s: Mapping[str, float]  # Median of logged minus stamped, by topic [s]; NaN without stamps
+    offset_s: Mapping[str, float]  # Median of logged minus stamped, by topic with stamps [s]
 
 
 def take_times(logs: Mapping[str, tuple[Any, Any]]) -> tuple[list[Times], int, int]:
-    """Times of topics whose messages were logged and stamped at some times [ns], where 0 is no stamp.
-
-    Returns:
-        The times, and from when those of logging and the stamps count [ns since 1970].
-    """
+    """Times of topics whose messages were logged and stamped at some times [ns], where 0 is no stamp; and from when
+    those of logging and the stamps count [ns since 1970]."""
     both = {topic: [np.asarray(one, np.int64) for one in two] for topic, two in logs.items()}
     log_ns = min(int(log.min()) for log, _ in both.values())
     stamp_ns = min((int(stamp[stamp != 0].min()) for _, stamp in both.values() if stamp.any()), default=log_ns)
@@ -186,16 +179,11 @@ def find_faults(topics: Sequence[Times]) -> tuple[str | None, str | None]:
 def choose_times(logs: Mapping[str, tuple[Any, Any]], logged: bool) -> Clocked:
     """Times of all topics by one clock: that of the stamps, or if ``logged`` the recorder's.
 
-    Args:
-        logs: When the messages of each topic were logged, and their stamps [ns since 1970]; 0: none.
-        logged: Whether the times of logging count.
-
-    Raises:
-        InputError: Clocks differ or jump, or too many messages are outliers; or the times of logging are no better.
+    Raises InputError if clocks differ or jump, too many messages are outliers, or the times of logging are no better.
     """
     topics, log_ns, stamp_ns = take_times(logs)
     apart_s = (log_ns - stamp_ns) * NS
-    offset_s = {one.topic: float(np.nanmedian(one.late_s)) + apart_s if one.is_stamped else np.nan for one in topics}
+    offset_s = {one.topic: float(np.nanmedian(one.late_s)) + apart_s for one in topics if one.is_stamped}
     fault, unfit = find_faults(topics)
     if logged and unfit:
         raise InputError(f"clocks: logged: {unfit}")

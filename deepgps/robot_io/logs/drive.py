@@ -5,11 +5,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from deepgps.robot_io.logs.clocks import Clocked, choose_times
-from deepgps.robot_io.logs.messages import OdometryLog, PoseLog, WheelLog
+from deepgps.robot_io.logs.containers import Log
+from deepgps.robot_io.logs.messages import POSE_KINDS, OdometryLog, PoseLog, open_wheels
+from deepgps.robot_io.logs.pictures import list_images
 from deepgps.robot_io.logs.robot_config import RobotConfig
 from deepgps.robot_io.logs.sample import Heard
 from deepgps.robot_io.logs.segmentation import Driven, follow
 from deepgps.robot_io.logs.wheels import clean_wheels, fill_counts, interpolate
+from deepgps.terminal.progress import Report
+from sim.errors import InputError
 from sim.geometry import wrap
 
 POSE_GAP_S = 0.5  # Longest time between two poses across which they are interpolated [s]
@@ -21,27 +25,31 @@ class LoggedDrive:
 
     driven: Driven  # What the robot did
     clocks: Clocked  # Times of all topics by one clock
-    image_s: np.ndarray  # Time of each image (m,) [s]; NaN where it is not known
+    listed: Heard  # Its images, as they are stamped
+    image_s: np.ndarray  # Time of each image (m,) [s] by the same clock; NaN where it is not known
     pose: np.ndarray | None  # Poses at the images (m, 3), NaN where there is none; None: they are not known
     notes: tuple[str, ...]  # What the user should know
     from_odometry: bool  # Whether the wheels are computed from an odometry
 
 
-def find_drive(config: RobotConfig, wheel_log: WheelLog, listed: Heard, pose_log: PoseLog | None) -> LoggedDrive:
-    """Bring everything to one clock and find what the robot did; raises InputError like ``import_log``."""
-    from_odometry = isinstance(wheel_log, OdometryLog)
+def read_drive(log: Log, config: RobotConfig, progress: Report) -> LoggedDrive:
+    """Read wheels, times of images and poses, bring them to one clock, and find what the robot did; raises InputError
+    like ``import_log``."""
+    wheel_log, listed, pose_log = open_wheels(log, config.wheels), list_images(log, config.camera.topic), None
+    if config.pose:
+        log.check_topic(config.pose.topic, "pose.topic", POSE_KINDS)
+        if config.pose.topic == wheel_log.topic:
+            raise InputError(f"pose.topic {config.pose.topic}: is the topic of the wheels")
+        pose_log = PoseLog(config.pose.topic)
     heard = [one for one in (wheel_log, listed, pose_log) if one is not None]
+    log.feed({one.topic: one.take for one in heard}, progress)
+    for one in heard:
+        one.check()
     clocks = choose_times({one.topic: (one.log_ns, one.stamp_ns) for one in heard}, config.clocks == "logged")
+    from_odometry = isinstance(wheel_log, OdometryLog)
     notes, image_s, pose = [*clocks.notes], clocks.time_s[listed.topic], None
-    wheels = clean_wheels(
-        clocks.time_s[wheel_log.topic],
-        wheel_log.angle,
-        config.wheels.ticks_per_rev,
-        wheel_log.topic,
-        image_s,
-        from_odometry,
-    )
-    wheels = fill_counts(wheels, wheel_log.topic)
+    topic, time_s, ticks = wheel_log.topic, clocks.time_s[wheel_log.topic], config.wheels.ticks_per_rev
+    wheels = fill_counts(clean_wheels(time_s, wheel_log.angle, ticks, topic, image_s, from_odometry), topic)
     driven = follow(wheels, config.wheels.radius_m, config.wheels.track_m)
     if config.pose and pose_log is not None:
         notes += pose_log.list_notes()
@@ -52,20 +60,15 @@ def find_drive(config: RobotConfig, wheel_log: WheelLog, listed: Heard, pose_log
     ahead_m, back_m = (driven.sum_up(kind)[2] for kind in ("straight", "back"))
     if back_m > ahead_m:  # as it seems if both wheels count backward
         notes.append(
-            f"{wheel_log.topic}: the robot drove {back_m:.1f} m backward and {ahead_m:.1f} m forward: do both wheels "
+            f"{topic}: the robot drove {back_m:.1f} m backward and {ahead_m:.1f} m forward: do both wheels "
             "count forward?"
         )
-    return LoggedDrive(driven, clocks, image_s, pose, tuple(notes), from_odometry)
+    return LoggedDrive(driven, clocks, listed, image_s, pose, tuple(notes), from_odometry)
 
 
 def find_poses(time_s: np.ndarray, pose: np.ndarray, at_s: np.ndarray) -> np.ndarray:
-    """Poses (m, 3) at some times (m,) [s], interpolated; NaN where none was measured within half a second.
-
-    Args:
-        time_s: Times of the poses (n,) [s]; NaN where they are not known.
-        pose: Poses (n, 3) x, y [m], yaw [rad].
-        at_s: The times.
-    """
+    """Poses (m, 3) at some times (m,) [s], interpolated from x, y [m], yaw [rad] (n, 3) at times (n,) [s] that may be
+    NaN; NaN where none was measured within half a second."""
     order = np.argsort(time_s, kind="stable")
     order = order[np.isfinite(time_s[order])]
     if len(order) < 2:

@@ -4,7 +4,7 @@ The log is read three times, never kept: for the wheels and the times of images,
 for the images that the recording holds.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,14 +13,11 @@ import numpy as np
 
 from deepgps.api.record import check_place, write_aside, write_recording
 from deepgps.robot_io.logs.camera import PolarSource, open_polar
-from deepgps.robot_io.logs.containers import Log, open_log
-from deepgps.robot_io.logs.drive import LoggedDrive, find_drive
+from deepgps.robot_io.logs.containers import open_log
+from deepgps.robot_io.logs.drive import LoggedDrive, read_drive
 from deepgps.robot_io.logs.lag import compare_wheels
 from deepgps.robot_io.logs.matching import Images, Plan, describe, note_cover, note_reach, plan_recording
-from deepgps.robot_io.logs.messages import POSE_KINDS, PoseLog, WheelLog, open_wheels
-from deepgps.robot_io.logs.pictures import KINDS as IMAGE_KINDS
 from deepgps.robot_io.logs.robot_config import RobotConfig
-from deepgps.robot_io.logs.sample import Heard
 from deepgps.robot_io.logs.segmentation import KINDS, find_path
 from deepgps.terminal.progress import Report
 from sim.errors import InputError
@@ -37,51 +34,20 @@ HEIGHTS_M = (0.2, 1.5)  # Limits of the setting camera.height_m, by which only t
 
 
 def import_log(path: Path, config: RobotConfig, out: Path, progress: Report, config_sha256: str = "") -> dict[str, Any]:
-    """Import a log.
+    """Import a log as a recording in a folder of its own; return the manifest's entries on it, with ``notes`` on what
+    the user should know.
 
-    Args:
-        path: The log.
-        config: What it does not say of its robot.
-        out: Folder of the recording; must be empty or not exist, and no link, mount point or working folder.
-        progress: Called with what is done.
-        config_sha256: Checksum of the configuration's file, for the manifest.
-
-    Returns:
-        The manifest's entries on the log, with ``notes`` on what the user should know.
-
-    Raises:
-        InputError: The log or its configuration cannot be used; one line says why, with topic and time.
+    Raises InputError if the log or its configuration, of this checksum, cannot be used; one line says why.
     """
     check_place(out)
     with open_log(path) as log:
-        drive = find_drive(config, *read_times(log, config, progress))
+        drive = read_drive(log, config, progress)
         out.parent.mkdir(parents=True, exist_ok=True)
         source = open_polar(log, config.camera, out.parent)
         lag_s, doubts = compare_wheels(source, drive, config.wheels.lag_s, progress)
         about = {"name": path.name, "config_sha256": config_sha256, "lag_s": lag_s}
         notes = [*log.notes, *drive.notes, *note_reach(source), *note_cover(source.topic, drive), *doubts]
         return _Import(config, source, drive, lag_s).write(about, notes, out, progress)
-
-
-def read_times(log: Log, config: RobotConfig, progress: Report) -> tuple[WheelLog, Heard, PoseLog | None]:
-    """Read wheels, times of images, and poses, all at once."""
-    wheels, images, poses = open_wheels(log, config.wheels), open_images(log, config.camera.topic), None
-    if config.pose:
-        log.check_topic(config.pose.topic, "pose.topic", POSE_KINDS)
-        if config.pose.topic == wheels.topic:
-            raise InputError(f"pose.topic {config.pose.topic}: is the topic of the wheels")
-        poses = PoseLog(config.pose.topic)
-    heard = [one for one in (wheels, images, poses) if one is not None]
-    log.feed({one.topic: one.take for one in heard}, progress)
-    for one in heard:
-        one.check()
-    return wheels, images, poses
-
-
-def open_images(log: Log, topic: str) -> Heard:
-    """Prepare to list the times of a topic's images; raises InputError if there is no such topic."""
-    log.check_topic(topic, "camera.topic", IMAGE_KINDS)
-    return Heard(topic)
 
 
 @dataclass(frozen=True)
@@ -93,7 +59,7 @@ class _Import:
     drive: LoggedDrive
     lag_s: float
 
-    def write(self, about: Mapping[str, Any], notes: list[str], out: Path, progress: Report) -> dict[str, Any]:
+    def write(self, about: dict[str, Any], notes: list[str], out: Path, progress: Report) -> dict[str, Any]:
         """Choose, draw and write the images; where some are damaged, the choice is made again without them."""
         source, damage = self.source, list[str]()
         while True:  # each round finds another damaged image, and too many are refused
@@ -149,9 +115,7 @@ class _Import:
         path = find_path(angle[good], wheels.radius_m, wheels.track_m)
         return Images(order[good], time_s[good], time_s[good] + self.lag_s, angle[good], path)
 
-    def _store(
-        self, plans: tuple[Plan, Plan], images: Sequence[np.ndarray], out: Path, about: Mapping[str, Any]
-    ) -> None:
+    def _store(self, plans: tuple[Plan, Plan], images: Sequence[np.ndarray], out: Path, about: dict[str, Any]) -> None:
         """Write the recording and, where it has no truth, what is held out as its deployment drive."""
         (train, test), pose, known = plans, self.drive.pose, dict[str, Any]()
         if pose is not None and self.config.pose and self.config.pose.use == "labels":
@@ -167,12 +131,7 @@ class _Import:
                 finish_recording(folder, read_json(folder / "manifest.json"))
 
     def _write_plan(
-        self,
-        plan: Plan,
-        images: Sequence[np.ndarray],
-        folder: Path,
-        about: Mapping[str, Any],
-        known: Mapping[str, Any],
+        self, plan: Plan, images: Sequence[np.ndarray], folder: Path, about: dict[str, Any], known: dict[str, Any]
     ) -> None:
         """Write the recording of a plan, of its images and those after turns, with what is known of poses."""
         wheels, field_deg = self.config.wheels, round(float(np.degrees(2 * self.source.lens.half_angle)), 6)

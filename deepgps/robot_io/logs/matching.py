@@ -1,7 +1,7 @@
 """Which images of a log become observations, with the wheels' ticks at their times, and what was found and left out."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -49,15 +49,8 @@ class Images:
 
 
 def plan_recording(driven: Driven, some: range, images: Images, spacing_m: float, ticks: int) -> Plan:
-    """Choose images for the segments among some of a drive's motions.
-
-    Args:
-        driven: The drive.
-        some: Numbers of the motions that are used.
-        images: The images.
-        spacing_m: Distance between images on a segment [m].
-        ticks: Ticks of a revolution.
-    """
+    """Choose images, at a distance from each other [m], for the segments among some of a drive's motions, whose wheels
+    count so many ticks a revolution."""
     rows, turn_rows, used = list[int](), list[int](), list[int]()
     readings = list[tuple[int, int, int]]()  # segment, observation, row of the image that tells the ticks
     turns = list[tuple[int, int, int, int]]()
@@ -176,15 +169,7 @@ def note_reach(source: PolarSource) -> list[str]:
 
 
 def describe(config: RobotConfig, source: PolarSource, drive: LoggedDrive, train: Plan, test: Plan) -> dict[str, Any]:
-    """Entries of the manifest on what was imported.
-
-    Args:
-        config: The robot.
-        source: Its images.
-        drive: Its drive.
-        train: What is learned from.
-        test: What is held out.
-    """
+    """Entries of the manifest on what was imported, to learn from and held out."""
     travelled_m = ticks_to_distance(train.reading[:, 2:], config.wheels.radius_m, config.wheels.ticks_per_rev)
     kind = train.turns[:, 3]
     tested = config.pose is not None and config.pose.use == "truth"  # test images with a pose, and none after turns
@@ -193,15 +178,12 @@ def describe(config: RobotConfig, source: PolarSource, drive: LoggedDrive, train
         "wheels_topic": config.wheels.topic,
         "camera_topic": source.topic,
         "pose_topic": config.pose.topic if config.pose else None,
-        "offset_s": {
-            topic: None if np.isnan(value) else round(value, 6) for topic, value in drive.clocks.offset_s.items()
-        },
+        "offset_s": {topic: round(offset_s, 6) for topic, offset_s in drive.clocks.offset_s.items()},
         "start_ns": drive.clocks.start_ns,
         "duration_s": round(float(np.ptp(drive.driven.wheels.time_s)), 3),
         "camera": {
-            **{name: getattr(source.camera, name) for name in ("model", "size", "coefficients")},
-            **{"focal_px": source.camera.focal, "centre_px": source.camera.centre},
-            **{name: getattr(config.camera, name) for name in ("height_m", "forward_deg", "mirrored")},
+            **asdict(source.camera),
+            **config.camera.model_dump(include={"height_m", "forward_deg", "mirrored"}),
         },
         "images": len(drive.image_s),
         "images_used": sum(map(len, used)),

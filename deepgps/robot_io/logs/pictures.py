@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 
 from deepgps.robot_io.logs.containers import Log
+from deepgps.robot_io.logs.sample import Heard
 from sim.errors import InputError, one_line, quote
 
 RAW_IMAGE, COMPRESSED_IMAGE = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
@@ -103,6 +104,12 @@ def decode_compressed(message: Any) -> np.ndarray:
     _, code = ENCODINGS[stored if mosaic else "bgr8"]
     assert code is not None
     return cv2.cvtColor(pixels, code)
+
+
+def list_images(log: Log, topic: str) -> Heard:
+    """What notes the times of a topic's images; raises InputError if there is no such topic."""
+    log.check_topic(topic, "camera.topic", KINDS)
+    return Heard(topic)
 
 
 def take_images(log: Log, topic: str, wanted: Collection[int]) -> Iterator[tuple[int, np.ndarray | InputError]]:

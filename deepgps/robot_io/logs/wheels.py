@@ -30,6 +30,11 @@ REVERSAL_SHARE = 0.1  # The same share of messages of which one wheel jumps ther
 MIN_RESTARTS = 2  # Restarts of a counter, all at one count, from which this is its range
 MIN_MESSAGES = 20  # Fewest messages of wheels that a drive has
 MAX_NOTES = 5  # Notes of one kind
+JUMPING_ODOMETRY = "the odometry jumps, as one that is corrected by other sensors: give the wheels' own"
+JUMPING_WHEELS = (
+    "the wheels' angles jump back and forth, as if more than one program published them (record only the one of the "
+    "wheels), or as if the recorder's clock was set back"
+)
 
 
 @dataclass(frozen=True)
@@ -48,8 +53,7 @@ class Wheels:
 
     def count_breaks(self, time_s: np.ndarray) -> np.ndarray:
         """How many unknown motions ended before some times (m,) [s]."""
-        ends_s = self.time_s[1:][self.broken]
-        return np.searchsorted(ends_s, time_s, side="right")
+        return np.searchsorted(self.time_s[1:][self.broken], time_s, side="right")
 
 
 def interpolate(at_s: np.ndarray, time_s: np.ndarray, values: np.ndarray, broken: np.ndarray) -> np.ndarray:
@@ -69,18 +73,10 @@ def clean_wheels(
     image_s: np.ndarray | None = None,
     from_odometry: bool = False,
 ) -> Wheels:
-    """Put the messages of the wheels in order.
+    """Put the messages of the wheels in order: times (n,) [s] and angles (n, 2) [rad], NaN where they are unknown.
 
-    Args:
-        time_s: Time of each message (n,) [s]; NaN where it is unknown.
-        angle: Angles (n, 2) [rad]; NaN where a message lacks a wheel.
-        ticks_per_rev: Ticks of a revolution, by which a counter of 16 or 32 bits wraps around.
-        topic: Name for messages.
-        image_s: Times of images [s]; None: none are known, and no pause of the log either.
-        from_odometry: Whether the angles are computed from an odometry's path.
-
-    Raises:
-        InputError: There are too few messages, or the angles jump back and forth.
+    By the times of images [s], pauses of the whole log are known. Raises InputError, which names the topic, if there
+    are too few messages, or the angles jump back and forth.
     """
     time_s, angle = _join_wheels(time_s, angle, ticks_per_rev)
     if len(time_s) < MIN_MESSAGES:
@@ -89,14 +85,8 @@ def clean_wheels(
     jumps, apart = _find_jumps(time_s, angle)
     in_row = max((last - first for first, last in find_stretches(apart).tolist()), default=0)
     if jumps.sum() > max(MAX_JUMP_SHARE * len(time_s), 4) or apart.mean() > REVERSAL_SHARE or in_row >= MAX_REVERSALS:
-        why = (
-            "the odometry jumps, as one that is corrected by other sensors: give the wheels' own"
-            if from_odometry
-            else "the wheels' angles jump back and forth, as if more than one program published them (record only the "
-            "one of the wheels), or as if the recorder's clock was set back"
-        )
-        row = int(np.argmax(jumps if jumps.any() else apart))
-        raise InputError(f"{topic} at {time_s[row]:.2f} s: {why}")
+        why = JUMPING_ODOMETRY if from_odometry else JUMPING_WHEELS
+        raise InputError(f"{topic} at {time_s[np.argmax(jumps if jumps.any() else apart)]:.2f} s: {why}")
     spike = apart & np.append(jumps, False) & np.append(False, jumps)
     if spike.any():
         notes.append(f"at {time_s[np.argmax(spike)]:.2f} s: {spike.sum()} messages jump and are left out")
@@ -197,12 +187,7 @@ def _find_range(step: np.ndarray, tick: float) -> float | None:
 
 
 def fill_counts(wheels: Wheels, topic: str) -> Wheels:
-    """The wheels with the angles of coarse encoders interpolated between their counts; others stay as they are.
-
-    Args:
-        wheels: The wheels.
-        topic: Name for a note on encoders that are too coarse.
-    """
+    """The wheels with the angles of coarse encoders interpolated between their counts; others stay as they are."""
     angle, ticks = wheels.angle.copy(), list[float]()
     for wheel in angle.T:
         step, tick = np.abs(np.diff(wheel)), _find_tick(wheel)
