@@ -20,7 +20,7 @@ from deepgps.robot_io.logs.robot_config import CameraConfig, Intrinsics
 from deepgps.terminal.progress import Report
 from sim.errors import InputError, one_line, quote, read_file
 from sim.sensors.camera.lens import Lens
-from sim.sensors.camera.unwrap import COEFFICIENTS, RawCamera, Unwrapping, check_camera
+from sim.sensors.camera.unwrap import RawCamera, Unwrapping, check_camera
 
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 MIN_HALF_ANGLE = np.radians(30.0)
@@ -38,17 +38,21 @@ CAMODOCAL_MODELS = {
     "MEI": "gamma1, gamma2, u0, v0 are fx, fy, cx, cy, and xi, k1, k2, p1, p2 the coefficients of model omni",
     "PINHOLE": "fx, fy, cx, cy are the same, and k1, k2, p1, p2 the coefficients of model plumb_bob",
 }
+NO_CALIBRATION = "it is no calibration of camera_calibration, Kalibr or OpenCV"
+OCAM = (
+    "a calibration of OCamCalib, whose polynomial is not read: calibrate with Kalibr or OpenCV's fisheye; its center "
+    "is cy, cx, and its first coefficient without sign about fx and fy"
+)
 
 
 def find_camera(log: Log, config: CameraConfig, size: tuple[int, int]) -> RawCamera:
-    """The calibration of a log's camera, whose images have this width and height [px]; raises InputError if there is
-    none, it is impossible, or it is for images of another size."""
+    """The calibration of a log's camera, for images of this width and height [px]; raises InputError if it is none."""
     if config.info is not None:
         camera, where = _read_info(log, config.info), config.info
     elif config.file is not None:
         camera, where = read_calibration(config.file), str(config.file)
     elif config.intrinsics is not None:
-        camera, where = make_camera(config.intrinsics), "camera.intrinsics"
+        camera, where = config.intrinsics.camera, "camera.intrinsics"
     else:  # an equidistant lens in the middle of the image
         assert config.circle_px is not None and config.field_of_view_deg is not None
         focal = config.circle_px / (np.radians(config.field_of_view_deg) / 2)
@@ -63,23 +67,11 @@ def find_camera(log: Log, config: CameraConfig, size: tuple[int, int]) -> RawCam
     return camera
 
 
-def make_camera(given: Intrinsics) -> RawCamera:
-    """A calibration with all of its model's coefficients; raises InputError if more than these are not 0."""
-    count, numbers = COEFFICIENTS[given.model], list(given.coefficients)
-    if any(numbers[count:]):
-        raise InputError(f"{given.model} has {count} coefficients, not {len(numbers)}")
-    numbers = (numbers + [0.0] * count)[:count]
-    return RawCamera(
-        given.model, (given.width, given.height), (given.fx, given.fy), (given.cx, given.cy), tuple(numbers)
-    )
-
-
-def _make(model: Any, size: Sequence[Any], focal_and_centre: Sequence[Any], coefficients: Sequence[Any]) -> RawCamera:
+def _make(model: Any, *size_focal_centre: Any, coefficients: Any) -> RawCamera:
     """A calibration of values that a file or a message gives."""
-    names = ("width", "height", "fx", "fy", "cx", "cy")
-    values = dict(zip(names, (*size, *focal_and_centre), strict=True))
+    values = dict(zip(("width", "height", "fx", "fy", "cx", "cy"), size_focal_centre, strict=True))
     try:
-        return make_camera(Intrinsics.model_validate({"model": model, **values, "coefficients": list(coefficients)}))
+        return Intrinsics.model_validate({"model": model, **values, "coefficients": coefficients}).camera
     except ValidationError as error:
         raise InputError(describe_problems(error, Intrinsics)) from None
 
@@ -91,10 +83,8 @@ def read_info(message: Any) -> RawCamera | None:
         return None
     if message.binning_x > 1 or message.binning_y > 1 or message.roi.x_offset or message.roi.y_offset:
         raise InputError("binning or a region of interest is set; give the calibration of the image as it is")
-    size = int(message.width), int(message.height)
-    return _make(
-        str(message.distortion_model), size, [float(k[row]) for row in (0, 4, 2, 5)], [float(one) for one in d]
-    )
+    model, *numbers = message.distortion_model, message.width, message.height, *np.asarray(k)[[0, 4, 2, 5]].tolist()
+    return _make(model, *numbers, coefficients=np.asarray(d).tolist())
 
 
 def _read_info(log: Log, topic: str) -> RawCamera:
@@ -112,30 +102,22 @@ def _read_info(log: Log, topic: str) -> RawCamera:
 
 
 def read_calibration(path: Path) -> RawCamera:
-    """The calibration in a file of ROS's camera_calibration, Kalibr or OpenCV's FileStorage.
-
-    Raises:
-        InputError: It is another file, or something in it is wrong; the message says what.
-    """
+    """The calibration in a file of ROS's camera_calibration, Kalibr or OpenCV's FileStorage; raises InputError that
+    says what else it is, or what is wrong in it."""
     text = read_file(path, MAX_FILE_BYTES, f"{path}: a calibration").decode(errors="replace")
     try:
         if "ocam_model" in text:
-            raise InputError(
-                "a calibration of OCamCalib, whose polynomial is not read: calibrate with Kalibr or OpenCV's fisheye; "
-                "its center is cy, cx, and its first coefficient without sign about fx and fy"
-            )
+            raise InputError(OCAM)
         values = yaml.safe_load(re.sub(r"\A%YAML:1\.0|!!opencv-matrix", "", text))
         if not isinstance(values, dict):
-            raise InputError("it is no calibration of camera_calibration, Kalibr or OpenCV")
+            raise InputError(NO_CALIBRATION)
         if kind := values.get("model_type"):
             where = CAMODOCAL_MODELS.get(kind, "which is not read")
             raise InputError(f"a calibration of camodocal, as of VINS: give camera.intrinsics, where {where}")
         cameras = [one for name, one in values.items() if re.fullmatch(r"cam\d+", str(name))]
         return _take_kalibr(cameras) if cameras else _take_matrices(values)
     except yaml.YAMLError as error:
-        raise InputError(
-            f"{path}: it is no calibration of camera_calibration, Kalibr or OpenCV: {one_line(error)}"
-        ) from None
+        raise InputError(f"{path}: {NO_CALIBRATION}: {one_line(error)}") from None
     except KeyError as error:
         raise InputError(f"{path}: {error} is missing") from None
     except (InputError, TypeError) as error:
@@ -154,7 +136,8 @@ def _take_kalibr(cameras: Sequence[Mapping[str, Any]]) -> RawCamera:
     if len(one["intrinsics"]) != count:
         raise InputError(f"intrinsics of Kalibr's {kind[0]} must be {count} numbers")
     *xi, fx, fy, cx, cy = one["intrinsics"]
-    return _make(KALIBR_MODELS[kind], one["resolution"][:2], (fx, fy, cx, cy), [*xi, *(one["distortion_coeffs"] or ())])
+    coefficients = [*xi, *(one["distortion_coeffs"] or ())]
+    return _make(KALIBR_MODELS[kind], *one["resolution"][:2], fx, fy, cx, cy, coefficients=coefficients)
 
 
 def _take_matrices(values: Mapping[str, Any]) -> RawCamera:
@@ -162,9 +145,7 @@ def _take_matrices(values: Mapping[str, Any]) -> RawCamera:
     names = {re.sub("[_ ]", "", str(name)).lower(): value for name, value in values.items()}
 
     def take(*known: str) -> Any:
-        found = next((names[name] for name in known if name in names), None)
-        if found is None:
-            raise KeyError(known[0])
+        found = names[next((name for name in known if name in names), known[0])]
         return found["data"] if isinstance(found, dict) else found
 
     k, d = take("cameramatrix", "k"), take("distortioncoefficients", "distcoeffs", "d")
@@ -175,7 +156,7 @@ def _take_matrices(values: Mapping[str, Any]) -> RawCamera:
         model = "equidistant" if names["fisheyemodel"] else "plumb_bob" if len(d) <= 5 else "rational_polynomial"
     if model is None:
         raise InputError("it names no model: add distortion_model: equidistant, or another one")
-    return _make(model, (take("imagewidth"), take("imageheight")), [k[row] for row in (0, 4, 2, 5)], d)
+    return _make(model, take("imagewidth"), take("imageheight"), k[0], k[4], k[2], k[5], coefficients=d)
 
 
 @dataclass
@@ -197,24 +178,22 @@ class PolarSource:
         """Shape of a polar image."""
         return self.unwrap.rings, self.unwrap.sectors, 3
 
-    def draw(self, wanted: Sequence[int], progress: Report, label: str) -> np.ndarray:
-        """Polar images (n, rings, sectors, 3) of some images of the log in this order, mapped from a file."""
-        places = dict[int, list[int]]()
-        for place, number in enumerate(wanted):
-            places.setdefault(number, []).append(place)
-        self.drawn.update(places)
-        if not places:
+    def draw(self, wanted: np.ndarray, progress: Report, label: str) -> np.ndarray:
+        """Polar images (n, rings, sectors, 3) of images of the log by their numbers (n,), mapped from a file."""
+        numbers = set(np.asarray(wanted).tolist())
+        self.drawn |= numbers
+        if not numbers:
             return np.empty((0, *self.shape), np.uint8)
         with TemporaryFile(dir=self.scratch) as store:
             images = np.memmap(store, np.uint8, "w+", shape=(len(wanted), *self.shape))
-        for done, (number, image) in enumerate(take_images(self.log, self.topic, places), start=1):
+        for done, (number, image) in enumerate(take_images(self.log, self.topic, numbers), start=1):
             try:
                 if isinstance(image, InputError):
                     raise image
-                images[places[number]] = self.unwrap(image)
+                images[wanted == number] = self.unwrap(image)
             except InputError as error:
                 self.damaged[number] = str(error)
-            progress(label, done, len(places))
+            progress(label, done, len(numbers))
         return images
 
 

@@ -1,8 +1,7 @@
 """The containers of a log: ROS 1 bags, ROS 2 db3 and MCAP files, alone, split or in a folder, or plain files.
 
 Messages are read one after the other, file by file, so a log of any size takes the same memory. They are decoded by the
-standard types, which are alike in all versions of ROS, so definitions in a file can spoil nothing. Of a folder's
-metadata.yaml only files that are compressed as a whole need anything.
+standard types, which are alike in all versions of ROS, so definitions in a file can spoil nothing.
 """
 
 import re
@@ -12,10 +11,9 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cache, partial
-from pathlib import Path, PurePath
+from pathlib import Path
 from typing import Any
 
-import yaml
 from mcap.records import Channel, Message, Schema
 from mcap.stream_reader import StreamReader
 from rosbags.rosbag1 import Reader as BagReader
@@ -24,10 +22,11 @@ from rosbags.rosbag2.storage_mcap import zstd
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
+from deepgps.config.plain_yaml import MAX_FILE_BYTES
 from deepgps.robot_io.logs import plain_folder
 from deepgps.robot_io.logs.sample import MENDING, Part, Sample, explained
 from deepgps.terminal.progress import Report
-from sim.errors import InputError, one_line, shorten
+from sim.errors import InputError, one_line, read_file, shorten
 
 METADATA, ZSTD, ZSTD_MAGIC = "metadata.yaml", ".zstd", b"\x28\xb5\x2f\xfd"
 OTHER_CONTENTS = {
@@ -45,7 +44,7 @@ Walk = Callable[[Collection[str]], Iterator[tuple[str, int, bytes]]]
 class Log:
     """An open log."""
 
-    path: Path  # Its path
+    path: Path
     notes: Sequence[str] = ()  # What the user should know of its files
     parts: Sequence[Part] = field(default=(), repr=False)
 
@@ -84,10 +83,8 @@ class Log:
 
 @contextmanager
 def open_log(path: Path) -> Iterator[Log]:
-    """Open a .bag, .mcap or .db3 file, a folder of them, or a folder with images and ``wheels.csv``.
-
-    Raises InputError if it is no log, or is damaged in another way than an MCAP that ends early.
-    """
+    """Open a .bag, .mcap or .db3 file, a folder of them, or a folder with images and ``wheels.csv``; raises InputError
+    if it is no log, or is damaged in another way than an MCAP that ends early."""
     name = shorten(str(path), 300)
     if not path.exists():
         raise InputError(f"{name}: there is no such log")
@@ -117,11 +114,8 @@ def _list_files(folder: Path) -> tuple[list[Path], list[str]]:
         return [folder], []
     if all(one.suffix == ".bag" for one in stored):
         return stored, []
-    listed = set[str]()
-    with suppress(OSError, ValueError, LookupError, TypeError, yaml.YAMLError):
-        about = yaml.safe_load((folder / METADATA).read_text())["rosbag2_bagfile_information"]
-        listed = {PurePath(name).name for name in about["relative_file_paths"]}
-    fits = listed >= {one.name for one in stored}
+    about = read_file(folder / METADATA, MAX_FILE_BYTES, METADATA) if (folder / METADATA).is_file() else b""
+    fits = all(one.name.encode() in about for one in stored)
     return stored, [] if fits else [f"{METADATA} is missing or does not fit: the files are read without it"]
 
 
@@ -141,15 +135,14 @@ def _open_file(file: Path, stack: ExitStack, notes: list[str]) -> Part:
             return part
 
     def walk(wanted: Collection[str]) -> Iterator[tuple[str, int, bytes]]:
-        chosen = [one for one in reader.connections if one.topic in wanted]
+        chosen = [one for one in known if one.topic in wanted]
         return ((one.topic, log_ns, data) for one, log_ns, data in reader.messages(chosen))
 
-    types, counts = dict[str, str](), Counter[str]()
-    for one in reader.connections:
-        if getattr(one.ext, "serialization_format", "cdr") == "cdr":
-            types[one.topic] = one.msgtype
-            counts[one.topic] += one.msgcount
-    return _make_part(file, types, counts, walk)
+    known = [one for one in reader.connections if getattr(one.ext, "serialization_format", "cdr") == "cdr"]
+    counts = Counter[str]()
+    for one in known:
+        counts[one.topic] += one.msgcount
+    return _make_part(file, {one.topic: one.msgtype for one in known}, counts, walk)
 
 
 def _check_file(file: Path) -> None:

@@ -65,7 +65,7 @@ class _Import:
         while True:  # each round finds another damaged image, and too many are refused
             plans, before = self._choose(), len(source.damaged)
             parts = [one for plan in plans for one in (plan.observation, plan.turn_image)]
-            numbers = np.concatenate(parts).tolist()
+            numbers = np.concatenate(parts)
             check_space(out, 2 * len(numbers) * int(np.prod(source.shape)))
             images = source.draw(numbers, progress, "unwrap images")
             if source.damaged:

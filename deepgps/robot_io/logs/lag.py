@@ -82,7 +82,7 @@ def compare_wheels(
     images; raises InputError if they contradict each other, or the lag cannot be estimated."""
     first, second, in_turn = _pair_images(drive)
     wanted, rows = np.unique((first, second), return_inverse=True)
-    images = source.draw(wanted.tolist(), progress, "see turns")
+    images = source.draw(wanted, progress, "see turns")
     turned = compare_headings(images, *rows.reshape(2, -1)).turn
     pairs = Pairs(drive.image_s[first], drive.image_s[second], turned, in_turn)
     time_s, path = drive.driven.wheels.time_s, drive.driven.path

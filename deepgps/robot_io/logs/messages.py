@@ -62,28 +62,26 @@ class OdometryLog(PoseLog):
         super().__init__(config.topic)
         self.config = config
 
-    def follow(self) -> tuple[np.ndarray, float]:
-        """Angles of the wheels (n, 2) [rad], and the part of the path that goes sideways, as no two wheels can drive;
-        each step is projected on the mean heading of its ends."""
-        pose = self.pose
-        step, turn = np.diff(pose[:, :2], axis=0), wrap(np.diff(pose[:, 2]))
-        heading = pose[:-1, 2] + turn / 2
-        ahead = step[:, 0] * np.cos(heading) + step[:, 1] * np.sin(heading)
-        aside = step[:, 1] * np.cos(heading) - step[:, 0] * np.sin(heading)
-        apart = turn * self.config.track_m / 2
-        angle = np.cumsum(np.column_stack([ahead - apart, ahead + apart]), axis=0) / self.config.radius_m
-        share = np.abs(aside).sum() / max(np.hypot(*step.T).sum(), MIN_LENGTH)
-        return np.concatenate([np.zeros((min(len(pose), 1), 2)), angle]), float(share)
+    def follow(self) -> tuple[np.ndarray, np.ndarray]:
+        """How far the robot went from each pose to the next, ahead and to the left as complex numbers (n - 1,) [m] in
+        the mean heading of both, and its turns (n - 1,) [rad]."""
+        x, y, yaw = self.pose.T
+        turn = wrap(np.diff(yaw))
+        return np.diff(x + 1j * y) * np.exp(-1j * (yaw[:-1] + turn / 2)), turn
 
     @property
     def angle(self) -> np.ndarray:
         """Angles of the wheels (n, 2) [rad]."""
-        return self.follow()[0]
+        step, turn = self.follow()
+        apart = turn * self.config.track_m / 2
+        rim = np.cumsum(np.column_stack([step.real - apart, step.real + apart]), axis=0)
+        return np.concatenate([np.zeros((min(len(self.pose), 1), 2)), rim / self.config.radius_m])
 
     def list_notes(self) -> list[str]:
         """What the user should know of the messages."""
         notes = [f"{self.topic}: wheels are computed from the odometry, so they cannot be diagnosed"]
-        if self.follow()[1] > MAX_SIDEWAYS_SHARE:
+        step, _ = self.follow()
+        if np.abs(step.imag).sum() > MAX_SIDEWAYS_SHARE * np.abs(step).sum():
             notes.append(f"{self.topic}: the odometry goes sideways, as no wheels can: is its orientation right?")
         return [*super().list_notes(), *notes]
 
@@ -98,26 +96,23 @@ class JointLog(Heard):
         super().__init__(config.topic)
         self.config = config
         self._names, self._speeds_only = set[str](), True  # of all joints; whether no message holds a position
-        backward = config.backward
-        self._sign = [-1.0 if backward in {side, "both"} else 1.0 for side in ("left", "right")]
 
     @property
     def angle(self) -> np.ndarray:
         """Angles of the left and of the right wheel (n, 2) [rad]; NaN where a message lacks one."""
-        return np.array(self._values).reshape(-1, 2) * self._sign
+        sign = [-1.0 if self.config.backward in {side, "both"} else 1.0 for side in ("left", "right")]
+        return np.array(self._values).reshape(-1, 2) * sign
 
     def read(self, sample: Sample) -> tuple[float, ...] | None:
-        """The positions of both wheels in a message, which may hold only some joints, or no positions; None: of
-        neither."""
+        """The positions of both wheels in a message, NaN where it lacks one; None: it holds neither."""
         message = sample.decode()
         self._names.update(message.name)
         self._speeds_only &= not len(message.position)
-        found = []
-        for name in (self.config.left, self.config.right):
-            index = find_joint(message.name, name, self.topic)
-            value = float(message.position[index]) if index < len(message.position) else math.nan
-            found.append(value if math.isfinite(value) else math.nan)
-        return None if all(map(math.isnan, found)) else tuple(found)
+        places = [find_joint(message.name, name, self.topic) for name in (self.config.left, self.config.right)]
+        found = [float(message.position[place]) if place < len(message.position) else math.nan for place in places]
+        return (
+            tuple(one if math.isfinite(one) else math.nan for one in found) if any(map(math.isfinite, found)) else None
+        )
 
     def check(self) -> None:
         """Raise InputError unless there are positions of both wheels."""

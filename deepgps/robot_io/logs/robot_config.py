@@ -8,6 +8,7 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 from deepgps.config.plain_yaml import read_yaml
 from deepgps.config.setting_problems import describe_problems
 from sim.errors import InputError, quote, shorten
+from sim.sensors.camera.unwrap import COEFFICIENTS, RawCamera
 from sim.settings import Group
 
 
@@ -63,6 +64,15 @@ class Intrinsics(Group):
     """Row of the optical axis [px]."""
     coefficients: tuple[float, ...] = Field(default=(), max_length=14)
     """Distortion coefficients; missing ones are 0, and more of them must be."""
+
+    @property
+    def camera(self) -> RawCamera:
+        """The calibration with all of its model's coefficients; raises InputError if more than these are not 0."""
+        count, numbers = COEFFICIENTS[self.model], self.coefficients
+        if any(numbers[count:]):
+            raise InputError(f"{self.model} has {count} coefficients, not {len(numbers)}")
+        padded = (*numbers, *[0.0] * count)[:count]
+        return RawCamera(self.model, (self.width, self.height), (self.fx, self.fy), (self.cx, self.cy), padded)
 
 
 class CameraConfig(Group):

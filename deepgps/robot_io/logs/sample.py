@@ -31,19 +31,13 @@ class Part(NamedTuple):
 
 
 class Heard:
-    """The messages of a topic, in the order of the files: their times, and numbers that they hold.
-
-    Attributes:
-        topic: The topic.
-        log_ns: When each was logged (n,) [ns].
-        stamp_ns: Its stamp (n,) [ns]; 0: none.
-        without: Number of messages that hold no such numbers, and are left out.
-    """
+    """The messages of a topic, in the order of the files: their times, and numbers that they hold."""
 
     LEFT_OUT = ""  # Why messages are left out
 
     def __init__(self, topic: str) -> None:
-        self.topic, self.log_ns, self.stamp_ns, self.without = topic, array("q"), array("q"), 0
+        self.topic, self.without = topic, 0  # How many messages hold no such numbers, and are left out
+        self.log_ns, self.stamp_ns = array("q"), array("q")  # When each was logged, and its stamp [ns]; 0: none
         self._values = array("d")
 
     def take(self, sample: Sample) -> None:
