@@ -159,9 +159,9 @@ def locate_command(words: Sequence[str]) -> None:
     ):
         for one in found:
             print(json.dumps(describe(one, frame)), flush=True)
-            if one.pose is not None and one.polar is not None:
+            if one.pose is not None and one.image is not None:
                 pose = one.pose
-                show(one.picture.time_s, one.polar, pose.position, pose.yaw, pose.radius_95, pose.accepted)
+                show(one.time_s, one.image, pose.position, pose.yaw, pose.radius_95, pose.accepted)
             wrong, total = wrong + (one.pose is None), total + 1
     if wrong:
         raise WorkError(f"{wrong} of {total} images could not be located; their lines say why")

@@ -1,10 +1,10 @@
 """Poses of images by a trained method as they come, each alone or tracked by a log's odometry."""
 
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, BinaryIO
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -24,19 +24,6 @@ from sim.errors import InputError, one_line
 from sim.recording.format import read_manifest
 from sim.sensors.camera.unwrap import RoundImage
 
-Unwrap = Callable[[np.ndarray], np.ndarray]
-"""Makes a polar image (rings, sectors, 3) of what the camera gives (height, width, 3), both uint8 RGB."""
-Step = Callable[[str, Poses], Poses]  # (name of an image, its own pose in the map) -> its pose by all images so far
-
-
-class Located(NamedTuple):
-    """An image and what was found."""
-
-    picture: Picture  # The image; its error says why nothing was found
-    polar: np.ndarray | None = None  # Its polar image; None like ``pose``
-    pose: Poses | None = None  # Its pose; None: nothing was found
-    cause: str | None = None  # Name of the cause for which it is refused or suspicious; empty: none. None: nobody asks
-
 
 @dataclass(frozen=True)
 class Wish:
@@ -50,27 +37,6 @@ class Wish:
     causes: bool = False  # Whether causes are named for which images are refused or suspicious
 
 
-def _locate(
-    run: Run, pictures: Iterable[Picture], unwrap: Unwrap, wish: Wish, step: Step | None, watch: Watch | None
-) -> Iterator[Located]:
-    """Find the pose of each image when it comes; where ``unwrap`` refuses one, it is located nowhere."""
-    alignment, positioner = run.alignment(wish.method, wish.frame), run.positioner(wish.method)
-
-    def find(picture: Picture) -> Located:
-        if picture.image is None:
-            return Located(picture)
-        try:
-            polar = unwrap(picture.image)
-        except InputError as error:
-            return Located(picture._replace(image=None, error=one_line(error)))
-        pose = find_poses(positioner, polar[None]).take(0)
-        pose = pose if step is None else step(picture.name, pose)
-        cause = None if watch is None else watch.step(polar)
-        return Located(picture, polar, pose if alignment is None else pose.align(alignment), cause)
-
-    return map(find, pictures)
-
-
 def find_shape(run: Run) -> tuple[int, ...]:
     """Shape of the polar images that a run's methods take; raises InputError if they take something else."""
     kind = read_manifest(run.folder / "recording").kind
@@ -79,20 +45,17 @@ def find_shape(run: Run) -> tuple[int, ...]:
     return tuple(run.recording.observation.shape[1:])
 
 
-def describe(one: Located, frame: Frame) -> dict[str, Any]:
+def describe(one: Picture, frame: Frame) -> dict[str, Any]:
     """What is said of an image: numbers in metres, radians and seconds, null where a method does not know."""
-    time = {} if one.picture.time_s is None else {"time": round(one.picture.time_s, 6)}
-    name, pose = {"image": one.picture.name, **time}, one.pose
+    time, pose = {} if one.time_s is None else {"time": round(one.time_s, 6)}, one.pose
     if pose is None:
-        return {**name, "error": one.picture.error}
+        return {"image": one.name, **time, "error": one.error}
     x, y = pose.position.tolist()
+    numbers = {"x": x, "y": y, "yaw": pose.yaw, "radius_68": pose.radius_68, "radius_95": pose.radius_95}
     return {
-        **name,
-        "x": _round(x),
-        "y": _round(y),
-        "yaw": _round(pose.yaw),
-        "radius_68": _round(pose.radius_68),
-        "radius_95": _round(pose.radius_95),
+        "image": one.name,
+        **time,
+        **{name: _round(value) for name, value in numbers.items()},
         "accepted": None if pose.accepted is None else bool(pose.accepted),
         **({} if one.cause is None else {"cause": one.cause or None}),
         "frame": frame,
@@ -104,36 +67,53 @@ def _round(value: Any) -> float | None:
 
 
 @contextmanager
-def locate_source(run: Run, source: str, stdin: BinaryIO, wish: Wish, progress: Report) -> Iterator[Iterator[Located]]:
-    """Locate the images of an image file, a folder, ``-`` or, with ``config``, a log, each when it is asked for.
+def locate_source(run: Run, source: str, stdin: BinaryIO, wish: Wish, progress: Report) -> Iterator[Iterator[Picture]]:
+    """Locate the images of an image file, a folder, ``-`` or, with ``config``, a log, each when it is asked for; a
+    located picture's image is the polar one.
 
     Raises InputError if the run, the source or the options cannot be used.
     """
-    shape, positioner, watch = find_shape(run), run.positioner(wish.method), None
-    with use_threads(run.scenario.learn.train.threads):
-        if wish.causes:
-            if (monitor := make_monitor(positioner, run.recording)) is None:
-                raise InputError(f"--causes: method {run.choose(wish.method)} refuses no images")
-            watch = Watch(monitor)
+    shape, name = find_shape(run), run.choose(wish.method)
+    alignment, positioner = run.alignment(wish.method, wish.frame), run.positioner(wish.method)
+    for wrong, why in (
+        (wish.track and wish.config is None, "--track needs the wheels of a log: --config robot.yaml"),
+        (wish.circle and wish.config, "--centre and --radius-px: a log's camera is described by --config"),
+        (
+            wish.track and positioner.mirrored is None,
+            f"--track: method {name} gives no yaw, so its map may be mirrored",
+        ),
+    ):
+        if wrong:
+            raise InputError(why)
+    with use_threads(run.scenario.learn.train.threads), ExitStack() as stack:
+        monitor = make_monitor(positioner, run.recording) if wish.causes else None
+        if wish.causes and monitor is None:
+            raise InputError(f"--causes: method {name} refuses no images")
+        watch, odometry = None if monitor is None else Watch(monitor), None
+        tracker = Tracker(bool(positioner.mirrored), positioner.mapped)
         if wish.config is None:
-            if wish.track:
-                raise InputError("--track needs the wheels of a log: --config robot.yaml")
-            yield _locate(run, open_pictures(source, stdin), Unwrapper(shape, wish.circle), wish, None, watch)
-            return
-        if wish.circle is not None:
-            raise InputError("--centre and --radius-px: a log's camera is described by --config")
-        if wish.track and positioner.mirrored is None:
-            raise InputError(f"--track: method {run.choose(wish.method)} gives no yaw, so its map may be mirrored")
-        view_deg = find_view(run.recording)
-        with open_source(Path(source), wish.config, view_deg, wish.track, progress) as log:
+            pictures, unwrap = open_pictures(source, stdin), Unwrapper(shape, wish.circle)
+        else:
+            view_deg = find_view(run.recording)
+            log = stack.enter_context(open_source(Path(source), wish.config, view_deg, wish.track, progress))
             check_images(log.polar, shape, view_deg)
-            tracker, odometry = Tracker(bool(positioner.mirrored), positioner.mapped), log.odometry
+            pictures, unwrap, odometry = log.read(), log.polar.unwrap, log.odometry
 
-            def step(name: str, pose: Poses) -> Poses:
-                assert odometry is not None
-                return tracker.step(pose, float(odometry.travelled_m[int(name)]), float(odometry.yaw[int(name)]))
+        def find(one: Picture) -> Picture:
+            if one.image is None:
+                return one
+            try:
+                polar = unwrap(one.image)
+            except InputError as error:
+                return one._replace(image=None, error=one_line(error))
+            pose = find_poses(positioner, polar[None]).take(0)
+            if odometry is not None:
+                number = int(one.name)
+                pose = tracker.step(pose, float(odometry.travelled_m[number]), float(odometry.yaw[number]))
+            pose = pose if alignment is None else pose.align(alignment)
+            return one._replace(image=polar, pose=pose, cause=None if watch is None else watch.step(polar))
 
-            yield _locate(run, log.read(), log.polar.unwrap, wish, step if wish.track else None, watch)
+        yield map(find, pictures)
 
 
 DISTANCE_STD_SHARE, MIN_DISTANCE_STD_M = 0.01, 0.001  # Of the way between two images, as a part of it and at least [m]

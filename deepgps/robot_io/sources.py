@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from deepgps.data.checks import check_view
+from deepgps.positioner.pose import Poses
 from deepgps.robot_io.logs.camera import PolarSource, open_polar
 from deepgps.robot_io.logs.containers import open_log
 from deepgps.robot_io.logs.drive import LoggedDrive, read_drive
@@ -36,6 +37,7 @@ class Unwrapper:
 
     def __init__(self, shape: tuple[int, ...], circle: RoundImage | None = None) -> None:
         self.shape, self.circle = shape, circle
+        self._find_points = lru_cache(maxsize=2)(RoundImage.find_points)
 
     def __call__(self, image: np.ndarray) -> np.ndarray:
         """The polar image (rings, sectors, 3) of a polar or a raw image (height, width, 3) uint8 RGB.
@@ -47,7 +49,7 @@ class Unwrapper:
         rings, sectors, _ = self.shape
         circle = self.circle or fill(image)
         circle.check(image, rings, sectors)
-        return draw_polar(image, _find_points(circle, rings, sectors), rings, sectors)
+        return draw_polar(image, self._find_points(circle, rings, sectors), rings, sectors)
 
 
 def fill(image: np.ndarray) -> RoundImage:
@@ -61,18 +63,15 @@ def fill(image: np.ndarray) -> RoundImage:
     return RoundImage(((width - 1) / 2, (height - 1) / 2), width / 2)
 
 
-@lru_cache(maxsize=2)
-def _find_points(circle: RoundImage, rings: int, sectors: int) -> tuple[np.ndarray, np.ndarray]:
-    return circle.find_points(rings, sectors)
-
-
 class Picture(NamedTuple):
-    """One image of a source."""
+    """One image of a source, and what is found of it."""
 
     name: str  # Its file, or its number from 0
     image: np.ndarray | None  # The image (height, width, 3) uint8 RGB; None: it cannot be read
     error: str | None = None  # Why not
     time_s: float | None = None  # When it was taken [s]; None: unknown
+    pose: Poses | None = None  # Its pose; None: it is not found
+    cause: str | None = None  # Name of the cause for which it is refused or suspicious; empty: none. None: nobody asks
 
 
 def open_pictures(source: str, stdin: BinaryIO) -> Iterator[Picture]:
@@ -124,9 +123,6 @@ def decode(name: str, read: Callable[[], bytes]) -> Picture:
         return Picture(name, None, one_line(error))
 
 
-NS = 1e-9
-
-
 @dataclass(frozen=True)
 class LogSource:
     """A log that is read."""
@@ -140,11 +136,9 @@ class LogSource:
         """Its images, or why one cannot be decoded."""
         log_ns, stamp_ns = self.listed.log_ns, self.listed.stamp_ns
         for number, image in take_images(self.polar.log, self.polar.topic, range(len(log_ns))):
-            time_s = NS * (stamp_ns[number] or log_ns[number])
-            if isinstance(image, InputError):
-                yield Picture(str(number), None, str(image), time_s)
-            else:
-                yield Picture(str(number), image, time_s=time_s)
+            time_s = 1e-9 * (stamp_ns[number] or log_ns[number])
+            seen, error = (None, str(image)) if isinstance(image, InputError) else (image, None)
+            yield Picture(str(number), seen, error, time_s)
 
 
 @contextmanager

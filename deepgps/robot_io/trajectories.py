@@ -4,11 +4,9 @@ An MCAP file holds ROS 2 messages: images, wheels, and poses with their covarian
 are on a topic of their own, so that nobody fuses them unawares.
 """
 
-import csv
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import partial
-from io import StringIO
 from pathlib import Path
 from typing import Any, Literal
 
@@ -36,7 +34,6 @@ from sim.robot_log.mcap_file import (
 )
 
 Format = Literal["tum", "csv"]
-DRIVES = ("training", "use")
 TRUTH = "truth"
 COLUMNS = {
     "yaw": "yaw_rad",
@@ -84,26 +81,23 @@ def find_trajectories(run: Run, method: str | None, frame: Frame | None, progres
     Raises InputError if there is no such method, the recording has no times, or a map has no place in the world.
     """
     methods, drives = run.methods if method is None else (run.choose(method),), open_drives(run)
-    total = len(drives) * len(methods) + sum(has_truth(one.folder) for one in drives.values())
     start_s = 1e-9 * run.recording.manifest.start_ns  # all drives of a log count from its start
     found = list[Trajectory]()
-
-    def add(drive: str, name: str, time_s: np.ndarray, poses: Poses) -> None:
-        found.append(Trajectory(drive, name, time_s, poses, start_s))
-        progress("trajectories", len(found), total)
-
     for drive, recording in drives.items():
         order, time_s = _put_in_order(recording)
         if has_truth(recording.folder):
             pose = open_truth(recording.folder).pose[order]
-            add(drive, TRUTH, time_s, Poses(pose[:, :2], yaw=pose[:, 2]))
-        for name in methods:
+            found.append(Trajectory(drive, TRUTH, time_s, Poses(pose[:, :2], yaw=pose[:, 2]), start_s))
+        for number, name in enumerate(methods):
+            progress(f"trajectories, {drive}", number, len(methods))
             alignment, positioner = run.alignment(name, frame or run.choose_frame(name)), run.positioner(name)
             if drive == "use":
                 positioner, _ = adapt(positioner, recording)  # the lean in deployment is corrected as in evaluation
             with use_threads(run.scenario.learn.train.threads):
                 poses = find_poses(positioner, recording.observation)
-            add(drive, name, time_s, (poses if alignment is None else poses.align(alignment)).take(order))
+            poses = (poses if alignment is None else poses.align(alignment)).take(order)
+            found.append(Trajectory(drive, name, time_s, poses, start_s))
+        progress(f"trajectories, {drive}", len(methods), len(methods))
     return found
 
 
@@ -125,16 +119,11 @@ def write_path(path: Path, one: Trajectory) -> None:
 
 def write_table(path: Path, one: Trajectory) -> None:
     """Write a trajectory as CSV with a header; a value that is not known is empty."""
-    parts = {"x_m": one.poses.position[:, 0], "y_m": one.poses.position[:, 1]}
-    for field in fields(one.poses):
-        if field.name in COLUMNS and (part := getattr(one.poses, field.name)) is not None:
-            parts[COLUMNS[field.name]] = part
-    text = StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    times = [f"{time:.6f}" for time in one.start_s + one.time_s]
-    writer.writerow(["time_s", *parts])
-    writer.writerows(zip(times, *(map(_write_value, part.tolist()) for part in parts.values()), strict=True))
-    write_text(path, text.getvalue())
+    columns = {"x_m": one.poses.position[:, 0], "y_m": one.poses.position[:, 1]}
+    columns |= {name: vars(one.poses)[part] for part, name in COLUMNS.items() if vars(one.poses)[part] is not None}
+    times = [f"{time_s:.6f}" for time_s in one.start_s + one.time_s]
+    rows = zip(times, *(map(_write_value, column.tolist()) for column in columns.values()), strict=True)
+    write_text(path, "\n".join([",".join(["time_s", *columns]), *map(",".join, rows), ""]))
 
 
 def _write_value(value: float | bool) -> str:
