@@ -210,12 +210,9 @@ def export_command(words: Sequence[str]) -> None:
     run, method, frame = load(arguments.run, arguments.plugin), arguments.method, arguments.frame
     folder, written = arguments.out or default_folder(arguments.run), []
     with working_in(folder), show_progress(errors) as progress:
-        formats: list[Literal["tum", "csv"]] = [
-            *(["tum"] if arguments.tum else []),
-            *(["csv"] if arguments.csv else []),
-        ]
-        if formats or arguments.mcap:
-            written += export_drives(run, folder, method, frame, formats, arguments.mcap, progress)
+        formats: tuple[Literal["tum", "csv", "mcap"], ...] = ("tum", "csv", "mcap")
+        if formats := tuple(one for one in formats if getattr(arguments, one)):
+            written += export_drives(run, folder, method, frame, formats, progress)
         if arguments.onnx:
             written += export_onnx(run, folder, method, frame, raw, progress)
     for path in written:

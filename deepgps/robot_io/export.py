@@ -16,7 +16,7 @@ from deepgps.learning.trainer import load_triton
 from deepgps.positioner import appearance
 from deepgps.positioner.positioner import NetworkPositioner, Positioner, RegistrationPositioner
 from deepgps.robot_io.deployed import Deployed
-from deepgps.robot_io.trajectories import WRITERS, Format, find_trajectories, write_drives, write_trajectories
+from deepgps.robot_io.trajectories import Format, find_trajectories, write_drives, write_trajectories
 from deepgps.runs.owned_folder import Kind, hold
 from deepgps.terminal.progress import Report
 from sim.alignment import Alignment
@@ -27,7 +27,8 @@ from sim.sensors.camera.mount import map_pixels, pad
 from sim.sensors.camera.unwrap import RoundImage
 
 FILES = re.compile(
-    rf"({'|'.join(WRITERS)})/(training|use)/\w+\.({'|'.join(WRITERS)})|mcap/(training|use)\.mcap(\.deepgps-part/.*)?|onnx/(model\.onnx|meta\.json|tables\.npz|\w+\.py)|export\.json"
+    r"(tum|csv)/(training|use)/\w+\.(tum|csv)|mcap/(training|use)\.mcap(\.deepgps-part/.*)?"
+    r"|onnx/(model\.onnx|meta\.json|tables\.npz|\w+\.py)|export\.json"
 )
 EXPORT = Kind("export", "onnx/model.onnx", lambda: FILES)
 ABOUT_FILE = "export.json"  # The file that says which run is exported
@@ -39,24 +40,18 @@ def default_folder(run: Path) -> Path:
 
 
 def export_drives(
-    run: Run,
-    folder: Path,
-    method: str | None,
-    frame: Frame | None,
-    formats: Sequence[Format],
-    mcap: bool,
-    progress: Report,
+    run: Run, folder: Path, method: str | None, frame: Frame | None, formats: Sequence[Format], progress: Report
 ) -> list[Path]:
-    """Write trajectories in these formats, and drives as MCAP files if asked, into a folder; return its subfolders.
+    """Write the drives in these formats into a folder; return its subfolders.
 
-    They are of one method, or of all, in a frame, or in the world's where the map has a place in it.
+    Trajectories are of one method, or of all, in a frame, or in the world's where the map has a place in it.
     """
     with _claim(run, folder):
         found = find_trajectories(run, method, frame, progress)  # once for all formats: every image is located
         write_trajectories(folder, found, formats)
-        if mcap:
+        if "mcap" in formats:
             write_drives(folder, run, found, progress)
-    return [folder / name for name in (*formats, *(["mcap"] if mcap else []))]
+    return [folder / name for name in formats]
 
 
 def export_onnx(
@@ -110,11 +105,7 @@ OUTPUTS = {
 
 
 def write_onnx(
-    folder: Path,
-    method: str,
-    positioner: Positioner,
-    alignment: Alignment | None,
-    raw: RoundImage | None,
+    folder: Path, method: str, positioner: Positioner, alignment: Alignment | None, raw: RoundImage | None
 ) -> None:
     """Write the folder of a method; the alignment is from its map to the frame of the poses.
 
@@ -126,9 +117,8 @@ def write_onnx(
             f"--onnx: method {method} is neither a network nor registration on polar images, and only these are written"
         )
     model = build_model(positioner)
-    tables = make_tables(positioner, raw)
     write_atomic(folder / MODEL, lambda part: part.write_bytes(model), len(model))
-    write_arrays(folder / TABLES, tables)
+    write_arrays(folder / TABLES, make_tables(positioner, raw))
     write_text(folder / EXAMPLE, Path(__file__).with_name(EXAMPLE).read_text(encoding="utf-8"))
     for name in MODULES:
         source = (Path(appearance.__file__).parent / f"{name}.py").read_text(encoding="utf-8")

@@ -33,7 +33,7 @@ from sim.robot_log.mcap_file import (
     write_mcap,
 )
 
-Format = Literal["tum", "csv"]
+Format = Literal["tum", "csv", "mcap"]
 TRUTH = "truth"
 COLUMNS = {
     "yaw": "yaw_rad",
@@ -62,10 +62,11 @@ class Trajectory:
 
 
 def write_trajectories(folder: Path, trajectories: Sequence[Trajectory], formats: Sequence[Format]) -> None:
-    """Write ``<format>/<drive>/<method>.<format>`` for each trajectory, in formats named in ``WRITERS``."""
+    """Write ``<format>/<drive>/<method>.<format>`` for each trajectory, in those formats that are for one."""
     for one in trajectories:
         for name in formats:
-            WRITERS[name](folder / name / one.drive / f"{one.name}.{name}", one)
+            if name in WRITERS:
+                WRITERS[name](folder / name / one.drive / f"{one.name}.{name}", one)
 
 
 def open_drives(run: Run) -> dict[str, Recording]:

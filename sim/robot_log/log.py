@@ -48,6 +48,7 @@ from sim.sensors.encoder import describe_odometry, read_encoders
 from sim.settings import ImageFaultSettings, SimSettings
 
 PARTS = re.compile(r"picture-.+-\d{6}\.npz")  # Names of the files in the folder of an unfinished log
+IMAGE = "/camera/image_raw/compressed"
 PICTURE_BYTES = 40_000  # About the size of a picture
 log = logging.getLogger(__name__)
 
@@ -89,6 +90,7 @@ def write_robot(log: Path, settings: SimSettings) -> None:
     """Write the description of the robot beside its log."""
     camera, (left, right) = settings.camera, JOINTS
     odometry = describe_odometry(settings.encoder, WHEEL_RADIUS_M, TRACK_M)
+    known = camera.model_dump(include={"field_of_view_deg", "height_m", "rings", "sectors"})
     values = {
         "wheels": {
             "topic": "/joint_states",
@@ -99,13 +101,7 @@ def write_robot(log: Path, settings: SimSettings) -> None:
             "ticks_per_rev": odometry["ticks_per_rev"],
             "lag_s": "estimate",  # half of it is the period that messages are late; the rest, how clocks are aligned
         },
-        "camera": {
-            "topic": "/camera/image_raw/compressed",
-            "info": "/camera/camera_info",
-            "field_of_view_deg": camera.field_of_view_deg,
-            "circle_px": ROWS / 2,
-            **{name: getattr(camera, name) for name in ("height_m", "rings", "sectors")},
-        },
+        "camera": {"topic": IMAGE, "info": "/camera/camera_info", "circle_px": ROWS / 2, **known},
         "pose": {"topic": "/ground_truth/pose", "use": "truth"},
         "drive": {"spacing_m": settings.drive.spacing_m},
         "clocks": "logged",
@@ -158,8 +154,7 @@ def _observe(
     leans = draw_leans(settings.camera_mount, len(states), stream(seed, "log", "lean"))
     parts = []
     for number, first in enumerate(range(0, len(states), PART_PICTURES)):
-        rows = slice(first, first + PART_PICTURES)
-        file = work / f"picture-{key}-{number:06d}.npz"
+        rows, file = slice(first, first + PART_PICTURES), work / f"picture-{key}-{number:06d}.npz"
         parts.append(Part(world.settings, states[rows], file, None if leans is None else leans[rows]))
     whole = [part.path for part in parts if read_if_whole(part.path)]
     for other in set(list_files(work, PARTS)) - set(whole):
@@ -199,10 +194,7 @@ def list_camera_topics(time: np.ndarray, settings: SimSettings, seed: int, parts
     def describe_camera(row: int) -> Any:
         return mcap.make_camera_info(stamp[row], (ROWS, COLUMNS), lens.focal_length(ROWS / 2), lens.k)
 
-    return [
-        Topic("/camera/camera_info", logged, describe_camera),
-        Topic("/camera/image_raw/compressed", logged, take_picture),
-    ]
+    return [Topic("/camera/camera_info", logged, describe_camera), Topic(IMAGE, logged, take_picture)]
 
 
 def make_wheel_topic(trace: Trace, world: TracedWorld, seed: int, clock: Clock) -> Topic:
