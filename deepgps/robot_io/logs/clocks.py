@@ -5,7 +5,7 @@ and only the one with the least delay tells the clock; of the others, stamps mus
 delay that changes while stamps advance evenly, as when a simulation halts, is no fault of the clock.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -154,44 +154,33 @@ class Clocked(NamedTuple):
     offset_s: Mapping[str, float]  # Median of logged minus stamped, by topic with stamps [s]
 
 
-def take_times(logs: Mapping[str, tuple[Any, Any]]) -> tuple[list[Times], int, int]:
-    """Times of topics whose messages were logged and stamped at some times [ns], where 0 is no stamp; and from when
-    those of logging and the stamps count [ns since 1970]."""
-    both = {topic: [np.asarray(one, np.int64) for one in two] for topic, two in logs.items()}
-    log_ns = min(int(log.min()) for log, _ in both.values())
-    stamp_ns = min((int(stamp[stamp != 0].min()) for _, stamp in both.values() if stamp.any()), default=log_ns)
-    times = [
-        Times(topic, (log - log_ns) * NS, np.where(stamp == 0, np.nan, (stamp - stamp_ns) * NS))
-        for topic, (log, stamp) in both.items()
-    ]
-    return times, log_ns, stamp_ns
-
-
-def find_faults(topics: Sequence[Times]) -> tuple[str | None, str | None]:
-    """What is wrong with the stamps of topics, in one or between the first and another, and with the times of logging,
-    in words; None: nothing."""
-    stamps = [one.find_fault() for one in topics]
-    if not any(stamps):
-        stamps = [topics[0].compare(other) for other in topics[1:]]
-    return next(filter(None, stamps), None), next(filter(None, (one.take_logged()[1] for one in topics)), None)
-
-
 def choose_times(logs: Mapping[str, tuple[Any, Any]], logged: bool) -> Clocked:
-    """Times of all topics by one clock: that of the stamps, or if ``logged`` the recorder's.
+    """Times of all topics by one clock: that of the stamps, or if ``logged`` the recorder's; from when messages were
+    logged and their stamps [ns since 1970], where 0 is none.
 
     Raises InputError if clocks differ or jump, too many messages are outliers, or the times of logging are no better.
     """
-    topics, log_ns, stamp_ns = take_times(logs)
+    both = {topic: [np.asarray(one, np.int64) for one in two] for topic, two in logs.items()}
+    log_ns = min(int(log.min()) for log, _ in both.values())
+    stamp_ns = min((int(stamp[stamp != 0].min()) for _, stamp in both.values() if stamp.any()), default=log_ns)
+    topics = [
+        Times(topic, (log - log_ns) * NS, np.where(stamp == 0, np.nan, (stamp - stamp_ns) * NS))
+        for topic, (log, stamp) in both.items()
+    ]
     apart_s = (log_ns - stamp_ns) * NS
     offset_s = {one.topic: float(np.nanmedian(one.late_s)) + apart_s for one in topics if one.is_stamped}
-    fault, unfit = find_faults(topics)
+    by_recorder = {one.topic: one.take_logged() for one in topics}
+    unfit = next((why for _, why in by_recorder.values() if why), None)
     if logged and unfit:
         raise InputError(f"clocks: logged: {unfit}")
     if logged:
-        return Clocked({one.topic: one.take_logged()[0] for one in topics}, [], log_ns, offset_s)
-    if fault:
+        return Clocked({topic: time_s for topic, (time_s, _) in by_recorder.items()}, [], log_ns, offset_s)
+    faults = list(filter(None, [one.find_fault() for one in topics]))
+    if not faults:
+        faults = list(filter(None, [topics[0].compare(other) for other in topics[1:]]))
+    if faults:
         way_out = f"nor do the times of logging help: {unfit}" if unfit else "clocks: logged takes the times of logging"
-        raise InputError(f"{fault}; {way_out}")
+        raise InputError(f"{faults[0]}; {way_out}")
     notes = [
         f"{one.topic}: {one.outlier.sum()} messages are left out: their stamps are {MAX_STEP_S:g} s or more off"
         for one in topics

@@ -1,26 +1,26 @@
 """What a log holds, as comments of a ``robot.yaml`` whose values come from the log or are left open."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from deepgps.robot_io.logs.camera import CAMERA_INFO, read_info
-from deepgps.robot_io.logs.clocks import find_faults, take_times
+from deepgps.robot_io.logs.clocks import choose_times
 from deepgps.robot_io.logs.containers import open_log
 from deepgps.robot_io.logs.drive import POSE_GAP_S
 from deepgps.robot_io.logs.messages import JOINT_STATE, ODOMETRY, POSE_KINDS
 from deepgps.robot_io.logs.pictures import KINDS as IMAGES
-from deepgps.robot_io.logs.pictures import RAW_IMAGE, decoder
+from deepgps.robot_io.logs.pictures import decode_image
 from deepgps.robot_io.logs.sample import Heard, Sample
 from deepgps.terminal.progress import Report
 from sim.errors import InputError, shorten
 
 FIRST_MESSAGES = 50  # Messages of a topic that are decoded
 DECODED_TYPES = (JOINT_STATE, CAMERA_INFO, *IMAGES)
-DESCRIBED_TYPES = (*DECODED_TYPES, ODOMETRY, *POSE_KINDS)  # Types of which more is said than the number of messages
 SIDES = {"left": "right", "l": "r", "lh": "rh", "fl": "fr", "rl": "rr"}
 """What names a left wheel, and the right one beside it."""
 OTHER_ODOMETRY = re.compile(r"cam|t265|realsense|zed|vi(o|sual)|rf2o|icp|laser|lidar|scan|slam|filter|fus|gps", re.I)
@@ -40,7 +40,6 @@ class Seen(Heard):
         self.size: tuple[int, ...] = ()  # Width and height of the first image [px]; empty: there is none
 
     def read(self, sample: Sample) -> tuple[float, ...] | None:
-        """Note what the first messages say."""
         if len(self.log_ns) < FIRST_MESSAGES and self.kind in DECODED_TYPES:
             try:
                 if said := self._describe(sample.decode()):
@@ -62,28 +61,30 @@ class Seen(Heard):
             return f"{camera.model}, {camera.size[0]} x {camera.size[1]} px, fx fy cx cy {numbers}"
         if self.size:
             return None
-        height, width = decoder(self.kind)(message).shape[:2]
+        height, width = decode_image(message).shape[:2]
         self.size = width, height
-        said = message.encoding if self.kind == RAW_IMAGE else f"format {message.format!r}"
+        said = getattr(message, "encoding", None) or f"format {message.format!r}"
         return f"{said}, {width} x {height} px"
+
+    @property
+    def period_s(self) -> float:
+        """Usual time between messages [s]."""
+        return float(np.median(np.diff(sorted(self.log_ns)))) * 1e-9 if len(self.log_ns) > 1 else np.inf
 
     def describe(self) -> list[str]:
         """Lines on the topic: its type, number of messages, rate, gaps, order, clock, and what they hold."""
-        count = len(self.log_ns)
-        lines = [f"{self.topic}  {self.kind}  {count} messages"]
-        if self.kind not in DESCRIBED_TYPES or not count:
+        lines = [f"{self.topic}  {self.kind}  {len(self.log_ns)} messages"]
+        if self.kind not in (*DECODED_TYPES, *POSE_KINDS) or not self.log_ns:
             return lines
         log, stamp = np.array(self.log_ns), np.array(self.stamp_ns)
-        if count > 1:
-            steps = np.diff(np.sort(log)) * 1e-9
-            rate = f"{1 / np.median(steps):.1f} Hz" if np.median(steps) > 0 else "all at once"
-            lines.append(f"    {rate}, {np.ptp(log) * 1e-9:.1f} s, longest gap {steps.max():.2f} s")
-        if stamp.any():
-            late, disordered = (log - stamp)[stamp != 0] * 1e-9, int((np.diff(stamp[stamp != 0]) < 0).sum())
-            lines.append(
-                f"    logged {np.median(late):+.4f} s after its stamp, in the median; {int((stamp == 0).sum())} "
-                f"without stamp, {disordered} out of order"
-            )
+        if len(log) > 1:
+            rate = f"{1 / self.period_s:.1f} Hz" if self.period_s > 0 else "all at once"
+            gap_s = np.diff(np.sort(log)).max() * 1e-9
+            lines.append(f"    {rate}, {np.ptp(log) * 1e-9:.1f} s, longest gap {gap_s:.2f} s")
+        if (known := stamp != 0).any():
+            late_s, disordered = np.median((log - stamp)[known]) * 1e-9, int((np.diff(stamp[known]) < 0).sum())
+            others = f"{int((~known).sum())} without stamp, {disordered} out of order"
+            lines.append(f"    logged {late_s:+.4f} s after its stamp, in the median; {others}")
         return [*lines, *(f"    {detail}" for detail in self.details)]
 
 
@@ -95,7 +96,11 @@ def look(path: Path, progress: Report) -> str:
         lines = [f"{shorten(str(path), 300)}", *(f"note: {note}" for note in log.notes), ""]
         lines += [line for one in seen.values() for line in one.describe()]
     some = [one for one in seen.values() if one.log_ns]
-    wheels, camera, pose = _find_wheels(some), _find_camera(some), _find_pose(some)
+    wheels = _find_wheels(some)
+    camera = _find_most(one for one in some if one.kind in IMAGES and "depth" not in one.topic.lower())
+    pose = _find_most(
+        one for one in some if one.kind in POSE_KINDS[:3] and one.period_s <= POSE_GAP_S
+    )  # goals are rare
     verdict, clocks = _judge_clocks([one for one in (wheels, camera, pose) if one])
     proposed = [*_write_wheels(some, wheels), *_write_camera(some, camera)]
     proposed += ["pose:", f"  topic: {pose.topic}", "  use: truth"] if pose else []
@@ -135,9 +140,8 @@ def _write_wheels(seen: Sequence[Seen], wheels: Seen | None) -> list[str]:
             lines.append(f"  # {one.topic} may be an encoder's counts: write wheels.csv of a folder of plain files")
         lines += [f"  # {topic} is no odometry of wheels alone" for topic in others]
     elif wheels.kind == ODOMETRY:
-        lines.append(
-            f"  topic: {wheels.topic}  # it must be of the wheels alone" + f", not {', '.join(others)}" * bool(others)
-        )
+        other = f", not {', '.join(others)}" if others else ""
+        lines.append(f"  topic: {wheels.topic}  # it must be of the wheels alone{other}")
     else:
         pairs, names = _pair_joints(wheels), ", ".join(wheels.names)
         more = f"  # or {', '.join(left for left, _ in pairs[1:])}" if len(pairs) > 1 else ""
@@ -164,26 +168,20 @@ def _write_camera(seen: Sequence[Seen], camera: Seen | None) -> list[str]:
     return [*lines, "  height_m:  # of the lens above the floor", "  forward_deg:  # the robot's front in the image"]
 
 
-def _find_camera(seen: Sequence[Seen]) -> Seen | None:
-    """The topic with most images that are no depths."""
-    some = [one for one in seen if one.kind in IMAGES and "depth" not in one.topic.lower()]
-    return max(some, key=lambda one: len(one.log_ns), default=None)
-
-
-def _find_pose(seen: Sequence[Seen]) -> Seen | None:
-    """A topic of poses that does not come from the wheels."""
-    some = [one for one in seen if one.kind in POSE_KINDS[:3] and len(one.log_ns) > 1]
-    often = [one for one in some if np.median(np.diff(sorted(one.log_ns))) <= POSE_GAP_S * 1e9]
-    return max(often, key=lambda one: len(one.log_ns), default=None)  # a goal is sent seldom
+def _find_most(seen: Iterable[Seen]) -> Seen | None:
+    return max(seen, key=lambda one: len(one.log_ns), default=None)
 
 
 def _judge_clocks(heard: Sequence[Seen]) -> tuple[list[str], str]:
     """The verdict on the clocks of some topics, in words, and the setting that it asks for."""
     if not heard:
         return [], "checked"
-    fault, unfit = find_faults(take_times({one.topic: (one.log_ns, one.stamp_ns) for one in heard})[0])
-    if fault is None:
-        return [f"one clock: {', '.join(one.topic for one in heard)}"], "checked"
-    if unfit:
-        return [f"{fault}: the log will be refused; nor do the times of logging help: {unfit}"], "checked"
-    return [f"{fault}: the times of logging are taken"], "logged"
+    times = {one.topic: (one.log_ns, one.stamp_ns) for one in heard}
+    try:
+        choose_times(times, False)
+    except InputError as fault:
+        with suppress(InputError):
+            choose_times(times, True)
+            return [str(fault)], "logged"
+        return [f"{fault}: the log will be refused"], "checked"
+    return [f"one clock: {', '.join(times)}"], "checked"

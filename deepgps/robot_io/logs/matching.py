@@ -105,9 +105,8 @@ def _choose(driven: Driven, number: int, images: Images, spacing_m: float) -> np
     target = np.arange(place[0], place[-1], spacing_m)
     target[:1] += MATCH_M / 3  # at rest, the latest
     nearest = np.searchsorted((place[1:] + place[:-1]) / 2, target)
-    return rows[
-        np.unique(np.append(nearest[place[-1] - place[nearest] >= MIN_SPACING_SHARE * spacing_m], len(place) - 1))
-    ]
+    apart = nearest[place[-1] - place[nearest] >= MIN_SPACING_SHARE * spacing_m]
+    return rows[np.unique(np.append(apart, len(place) - 1))]
 
 
 def _find_span(driven: Driven, number: int, images: Images) -> np.ndarray:
@@ -192,25 +191,20 @@ def describe(config: RobotConfig, source: PolarSource, drive: LoggedDrive, train
         "segments_m": measure_driven(train.reading[:, 0], travelled_m.mean(axis=1)),
         "turns": {name: int((kind == number).sum()) for number, name in enumerate(KINDS)},
         "turns_seen": len(train.turn_image),
-        "left_out": {
-            name: {"count": count, "seconds": round(seconds, 1), "metres": round(metres, 2)}
-            for name, (count, seconds, metres) in ((name, drive.driven.sum_up(name)) for name in OTHER_MOTIONS)
-        },
+        "left_out": {name: drive.driven.sum_up(name) for name in OTHER_MOTIONS},
     }
 
 
 def write_summary(about: Mapping[str, Any]) -> str:
     """What an import found and left out, as text of some lines."""
-    turns, out = about["turns"], about["left_out"]
+    out = "{count} {name} ({metres:.1f} m, {seconds:.0f} s)"
+    left_out = [out.format(name=name, **about["left_out"][kind]) for kind, name in OTHER_MOTIONS.items()]
     lines = [
         f"{about['segments']} segments, {about['segments_m']:.1f} m, in {about['duration_s']:.0f} s; "
-        f"{turns['in_place']} turns in place, {about['turns_seen']} of them seen before and after",
+        f"{about['turns']['in_place']} turns in place, {about['turns_seen']} of them seen before and after",
         f"images: {about['images']} in the log, {about['images_used']} used, {about['held_out']} of these held out",
-        "left out: "
-        + ", ".join(
-            f"{out[kind]['count']} {name} ({out[kind]['metres']:.1f} m, {out[kind]['seconds']:.0f} s)"
-            for kind, name in OTHER_MOTIONS.items()
-        ),
+        f"left out: {', '.join(left_out)}",
         f"wheels {1000 * about['lag_s']:.0f} ms later than images",
+        *(f"note: {note}" for note in about["notes"]),
     ]
-    return "\n".join([*lines, *(f"note: {note}" for note in about["notes"])])
+    return "\n".join(lines)

@@ -1,6 +1,6 @@
 """The images of a log: their times, and those that are wanted, decoded one at a time, in every usual encoding."""
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Collection, Iterator
 from typing import Any
 
 import cv2
@@ -38,23 +38,18 @@ ENCODINGS = {
 ALIASES = {"8uc1": "mono8", "8uc3": "bgr8", "8uc4": "bgra8", "uyvy": "yuv422", "yuyv": "yuv422_yuy2"}
 
 
-def decoder(kind: str) -> Callable[[Any], np.ndarray]:
-    """The function that turns a message of a type into an image (height, width, 3) uint8 RGB, or raises InputError."""
-
-    def decode(message: Any) -> np.ndarray:
-        try:
-            return decode_raw(message) if kind == RAW_IMAGE else decode_compressed(message)
-        except cv2.error as error:  # a size that the encoding cannot have, or that no memory could hold
-            raise InputError(one_line(error)) from None
-
-    return decode
+def decode_image(message: Any) -> np.ndarray:
+    """The image (height, width, 3) uint8 RGB of an ``Image`` or a ``CompressedImage``; raises InputError."""
+    try:
+        return decode_raw(message) if hasattr(message, "encoding") else decode_compressed(message)
+    except cv2.error as error:  # a size that the encoding cannot have, or that no memory could hold
+        raise InputError(one_line(error)) from None
 
 
 def decode_raw(message: Any) -> np.ndarray:
     """The image (height, width, 3) uint8 RGB of an ``Image``, whose rows may be padded.
 
-    Raises:
-        InputError: The encoding is unknown, or there are fewer bytes than its size needs.
+    Raises InputError if its encoding is unknown, or there are fewer bytes than its size needs.
     """
     name = str(message.encoding).strip().lower()
     if (name := ALIASES.get(name, name)) not in ENCODINGS:
@@ -76,8 +71,7 @@ def decode_raw(message: Any) -> np.ndarray:
 def decode_file(data: bytes, how: int = cv2.IMREAD_COLOR) -> np.ndarray | None:
     """Pixels (height, width[, 3]) uint8, BGR or grey, of the bytes of an image file; None: OpenCV cannot read it.
 
-    Raises:
-        InputError: It has more than 8 bits a channel, of which it is not known which ones matter.
+    Raises InputError if it has more than 8 bits a channel, of which it is not known which ones matter.
     """
     depth = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
     pixels = cv2.imdecode(np.frombuffer(data, np.uint8), how | depth) if data else None
@@ -87,11 +81,8 @@ def decode_file(data: bytes, how: int = cv2.IMREAD_COLOR) -> np.ndarray | None:
 
 
 def decode_compressed(message: Any) -> np.ndarray:
-    """The image (height, width, 3) uint8 RGB of a ``CompressedImage``, recognised by its first bytes.
-
-    Raises:
-        InputError: It is neither a JPEG nor a PNG of 8 bits, or it is damaged.
-    """
+    """The image (height, width, 3) uint8 RGB of a ``CompressedImage``; raises InputError if, by its first bytes, it is
+    neither a JPEG nor a PNG of 8 bits, or it is damaged."""
     data = bytes(message.data)
     if not data.startswith(MAGIC):
         raise InputError(f"format {quote(message.format)}, {len(data)} bytes: neither JPEG nor PNG")
@@ -101,9 +92,7 @@ def decode_compressed(message: Any) -> np.ndarray:
     pixels = decode_file(data, cv2.IMREAD_GRAYSCALE if mosaic else cv2.IMREAD_COLOR)
     if pixels is None:
         raise InputError(f"format {quote(message.format)}, {len(data)} bytes: the picture is damaged")
-    _, code = ENCODINGS[stored if mosaic else "bgr8"]
-    assert code is not None
-    return cv2.cvtColor(pixels, code)
+    return cv2.cvtColor(pixels, ENCODINGS[stored][1] if mosaic else cv2.COLOR_BGR2RGB)
 
 
 def list_images(log: Log, topic: str) -> Heard:
@@ -114,12 +103,12 @@ def list_images(log: Log, topic: str) -> Heard:
 
 def take_images(log: Log, topic: str, wanted: Collection[int]) -> Iterator[tuple[int, np.ndarray | InputError]]:
     """Numbers and pixels (height, width, 3) uint8 RGB of some images of a topic, or why one cannot be decoded."""
-    decode, last = decoder(log.types[topic]), max(wanted, default=-1)
+    last = max(wanted, default=-1)
     for number, sample in enumerate(log.read([topic])):
         if number > last:
             return
         if number in wanted:
             try:
-                yield number, decode(sample.decode())
+                yield number, decode_image(sample.decode())
             except InputError as error:
                 yield number, error

@@ -141,13 +141,6 @@ class RobotConfig(Group):
     """checked: the stamps of messages count, and the log is refused where clocks differ by more than 50 ms or jump;
     logged: the times at which messages were logged count."""
 
-    @field_validator("clocks", mode="before")
-    @classmethod
-    def _clocks_are_not_aligned(cls, value: Any) -> Any:
-        if value == "align":
-            raise ValueError("'align': clocks are not aligned; logged takes the times of logging")
-        return "checked" if value == "refuse" else value
-
 
 def load_config(path: Path) -> RobotConfig:
     """Read ``robot.yaml``; raises InputError that names the setting, its value and what is allowed."""

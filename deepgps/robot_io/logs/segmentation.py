@@ -6,14 +6,14 @@ therefore taken off before a stretch is judged.
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
 from deepgps.robot_io.logs.wheels import Wheels
 
 Kind = Literal["straight", "turn", "rest", "arc", "back", "unknown"]
-KINDS: tuple[Kind, ...] = ("straight", "turn", "rest", "arc", "back", "unknown")
+KINDS: tuple[Kind, ...] = get_args(Kind)
 WINDOW_S = 0.1  # Speeds are measured over this much before and after [s]
 REST_MPS = 0.005  # Speed of both rims up to which the robot rests [m/s]
 DRIVING_MPS = 0.025  # Speed from which the usual curvature and the noise of turn rates are measured [m/s]
@@ -60,11 +60,12 @@ class Driven(NamedTuple):
     path: Path  # Distance and heading by them
     motions: list[Motion]  # What the robot did, in order; together, the motions cover the drive
 
-    def sum_up(self, kind: str) -> tuple[int, float, float]:
-        """Number, duration [s] and distance [m] of the motions of a kind."""
+    def sum_up(self, kind: str) -> dict[str, float]:
+        """Number, duration and distance of the motions of a kind."""
         some, time_s = [one for one in self.motions if one.kind == kind], self.wheels.time_s
         seconds = sum(float(time_s[one.last] - time_s[one.first]) for one in some)
-        return len(some), seconds, sum(map(self.path.measure, some))
+        metres = sum(map(self.path.measure, some))
+        return {"count": len(some), "seconds": round(seconds, 1), "metres": round(metres, 2)}
 
 
 def follow(wheels: Wheels, radius_m: float, track_m: float) -> Driven:
@@ -87,10 +88,8 @@ def _take_off_usual(wheels: Wheels, path: Path) -> Path:
     speed, rate = _find_speeds(wheels, path)
     driving = (np.abs(speed) > DRIVING_MPS) & (np.abs(rate) < ARC_CURVATURE_PER_M * np.abs(speed))
     usual = float(np.median(rate[driving] / speed[driving])) if driving.any() else 0.0
-    return Path(
-        path.travelled_m,
-        path.yaw - np.clip(usual, -MAX_USUAL_CURVATURE_PER_M, MAX_USUAL_CURVATURE_PER_M) * path.travelled_m,
-    )
+    usual = float(np.clip(usual, -MAX_USUAL_CURVATURE_PER_M, MAX_USUAL_CURVATURE_PER_M))
+    return Path(path.travelled_m, path.yaw - usual * path.travelled_m)
 
 
 def _find_speeds(wheels: Wheels, path: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -104,23 +103,15 @@ def _find_speeds(wheels: Wheels, path: Path) -> tuple[np.ndarray, np.ndarray]:
 def _judge(wheels: Wheels, path: Path, track_m: float) -> np.ndarray:
     """Number of the kind in each interval (n - 1,)."""
     speed, rate = _find_speeds(wheels, path)
-    curved = (
-        ARC_CURVATURE_PER_M * np.abs(speed)
-        + MIN_ARC_RATE_RADPS
-        + MAX_DEVIATIONS * _measure_noise(wheels.time_s, rate, speed)
-    )
-    rim = np.abs(rate) * track_m / 2
-    return np.select(
-        [
-            wheels.broken,
-            (np.abs(speed) < REST_MPS) & (rim < REST_MPS),
-            rim > 2 * np.abs(speed),
-            speed < 0,
-            np.abs(rate) > curved,
-        ],
-        [KINDS.index(name) for name in ("unknown", "rest", "turn", "back", "arc")],
-        KINDS.index("straight"),
-    )
+    noise, rim = _measure_noise(wheels.time_s, rate, speed), np.abs(rate) * track_m / 2
+    kinds: dict[Kind, np.ndarray] = {
+        "unknown": wheels.broken,
+        "rest": (np.abs(speed) < REST_MPS) & (rim < REST_MPS),
+        "turn": rim > 2 * np.abs(speed),
+        "back": speed < 0,
+        "arc": np.abs(rate) > ARC_CURVATURE_PER_M * np.abs(speed) + MIN_ARC_RATE_RADPS + MAX_DEVIATIONS * noise,
+    }
+    return np.select(list(kinds.values()), [KINDS.index(name) for name in kinds], KINDS.index("straight"))
 
 
 def _measure_noise(time_s: np.ndarray, rate: np.ndarray, speed: np.ndarray) -> float:

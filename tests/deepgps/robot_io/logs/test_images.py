@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from deepgps.robot_io.logs.pictures import COMPRESSED_IMAGE, RAW_IMAGE, decode_compressed, decode_raw, decoder
+from deepgps.robot_io.logs.pictures import decode_compressed, decode_image, decode_raw
 from sim.errors import InputError
 from tests.helpers.robot_log import ENCODERS, encode
 
@@ -42,7 +42,7 @@ def test_what_is_no_picture_is_refused_in_one_line(image: np.ndarray) -> None:
         ({"encoding": "yuyv", "width": 5, "height": 4}, "OpenCV"),
     ):
         with pytest.raises(InputError, match=message) as caught:
-            decoder(RAW_IMAGE)(SimpleNamespace(**{**encode(image, "rgb8"), **change}))
+            decode_image(SimpleNamespace(**{**encode(image, "rgb8"), **change}))
         assert "\n" not in str(caught.value)
     sixteen = cv2.imencode(".png", image.astype(np.uint16) * 16)[1]
     for form, data, message in (
@@ -51,7 +51,7 @@ def test_what_is_no_picture_is_refused_in_one_line(image: np.ndarray) -> None:
         ("h264", b"\0\0\0\1", "format 'h264', 4 bytes: neither JPEG nor PNG"),
     ):
         with pytest.raises(InputError, match=message):
-            decoder(COMPRESSED_IMAGE)(SimpleNamespace(format=form, data=data))
+            decode_image(SimpleNamespace(format=form, data=data))
 
 
 def test_a_compressed_picture_is_known_by_its_bytes(image: np.ndarray) -> None:

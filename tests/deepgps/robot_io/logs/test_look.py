@@ -173,7 +173,6 @@ def test_a_wrong_robot_is_refused_in_one_line(tmp_path: Path) -> None:
         ({"pose": {"topic": "/p", "use": "both"}}, r"pose\.use 'both': must be 'truth' or 'labels'"),
         ({"speed": 1}, "speed: there is no such setting"),
         ({"clocks": "guess"}, "clocks 'guess': must be 'checked' or 'logged'"),
-        ({"clocks": "align"}, "clocks: 'align': clocks are not aligned; logged takes the times of logging"),
     ):
         path.write_text(yaml.safe_dump({**base, **values}))
         with pytest.raises(InputError, match=message) as caught:

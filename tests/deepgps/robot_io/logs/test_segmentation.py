@@ -65,8 +65,8 @@ def test_an_arc_is_no_segment() -> None:
     rate = np.where((time_s > 11.0) & (time_s < 18.0), 0.15, 0.0)  # a radius of 1.3 m
     rim = np.column_stack([ahead - rate * TRACK_M / 2, ahead + rate * TRACK_M / 2]) * PERIOD_S / RADIUS_M
     driven = follow(clean_wheels(time_s, np.cumsum(rim, axis=0), 4096, "/joint_states"), RADIUS_M, TRACK_M)
-    assert driven.sum_up("straight")[2] == pytest.approx(2.0, abs=0.05)
-    assert driven.sum_up("arc")[2] == pytest.approx(1.4, abs=0.05)
+    assert driven.sum_up("straight")["metres"] == pytest.approx(2.0, abs=0.05)
+    assert driven.sum_up("arc")["metres"] == pytest.approx(1.4, abs=0.05)
 
 
 @pytest.mark.parametrize("full", [2.0 * np.pi, 2**16 * TICK, 2**32 * TICK], ids=["a turn", "16 bits", "32 bits"])
