@@ -146,15 +146,25 @@ def locate_command(words: Sequence[str]) -> None:
     arguments = parse(LocateArguments, "locate", words, locate_command.__doc__)
     circle = parse_round_image(arguments.centre, arguments.radius_px, arguments.forward_deg)
     from deepgps.api.run import load
-    from deepgps.robot_io.locate import Wish, describe, locate_source
+    from deepgps.robot_io.locate import describe, locate_source
 
     run, wrong, total = load(arguments.run, arguments.plugin), 0, 0
     frame = arguments.frame or run.choose_frame(arguments.method)
-    wish = Wish(arguments.method, frame, circle, arguments.config, arguments.track, arguments.causes)
     room, hide = (run.folder / "recording", frame == "world"), lambda *_: None
     with (
         show_progress(errors, quiet_s=2.0) as progress,
-        locate_source(run, arguments.source, sys.stdin.buffer, wish, progress) as found,
+        locate_source(
+            run,
+            arguments.source,
+            sys.stdin.buffer,
+            progress,
+            method=arguments.method,
+            frame=frame,
+            circle=circle,
+            config=arguments.config,
+            track=arguments.track,
+            causes=arguments.causes,
+        ) as found,
         watch(arguments.live, "located:show_located", hide, *room) as show,
     ):
         for one in found:

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -10,11 +9,11 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from deepgps.api.run import Frame, Run
-from deepgps.data.checks import find_view
+from deepgps.data.checks import check_view, find_view
 from deepgps.learning.trainer import use_threads
 from deepgps.positioner.pose import Poses, find_poses
 from deepgps.positioner.registration import LEVELS, find_normal_radius
-from deepgps.robot_io.sources import Picture, Unwrapper, check_images, open_pictures, open_source
+from deepgps.robot_io.sources import Picture, Unwrapper, open_pictures, open_source
 from deepgps.terminal.progress import Report
 from deepgps.tracking.causes import Watch, make_monitor
 from deepgps.tracking.filter import advance, begin, estimate
@@ -23,18 +22,6 @@ from deepgps.tracking.motion import Motion, make_motion, mirror
 from sim.errors import InputError, one_line
 from sim.recording.format import read_manifest
 from sim.sensors.camera.unwrap import RoundImage
-
-
-@dataclass(frozen=True)
-class Wish:
-    """How images are located."""
-
-    method: str | None  # The method; None: the first of the run
-    frame: Frame  # Frame of the poses
-    circle: RoundImage | None = None  # Where the image circle is in raw images; None: it fills them
-    config: Path | None = None  # The robot.yaml of a log; None: the source is no log
-    track: bool = False  # Whether the robot is tracked, by a log's wheels
-    causes: bool = False  # Whether causes are named for which images are refused or suspicious
 
 
 def find_shape(run: Run) -> tuple[int, ...]:
@@ -67,37 +54,57 @@ def _round(value: Any) -> float | None:
 
 
 @contextmanager
-def locate_source(run: Run, source: str, stdin: BinaryIO, wish: Wish, progress: Report) -> Iterator[Iterator[Picture]]:
+def locate_source(
+    run: Run,
+    source: str,
+    stdin: BinaryIO,
+    progress: Report,
+    *,
+    method: str | None,
+    frame: Frame,
+    circle: RoundImage | None = None,
+    config: Path | None = None,
+    track: bool = False,
+    causes: bool = False,
+) -> Iterator[Iterator[Picture]]:
     """Locate the images of an image file, a folder, ``-`` or, with ``config``, a log, each when it is asked for; a
     located picture's image is the polar one.
 
-    Raises InputError if the run, the source or the options cannot be used.
+    Without a ``circle``, raw images are filled by the image circle. With ``track``, poses are those of a robot that is
+    tracked by the log's wheels; ``causes`` are named if asked for. Raises InputError if the run, the source or the
+    options cannot be used.
     """
-    shape, name = find_shape(run), run.choose(wish.method)
-    alignment, positioner = run.alignment(wish.method, wish.frame), run.positioner(wish.method)
+    shape, name = find_shape(run), run.choose(method)
+    alignment, positioner = run.alignment(method, frame), run.positioner(method)
     for wrong, why in (
-        (wish.track and wish.config is None, "--track needs the wheels of a log: --config robot.yaml"),
-        (wish.circle and wish.config, "--centre and --radius-px: a log's camera is described by --config"),
+        (track and config is None, "--track needs the wheels of a log: --config robot.yaml"),
+        (circle and config, "--centre and --radius-px: a log's camera is described by --config"),
         (
-            wish.track and positioner.mirrored is None,
+            track and positioner.mirrored is None,
             f"--track: method {name} gives no yaw, so its map may be mirrored",
         ),
     ):
         if wrong:
             raise InputError(why)
     with use_threads(run.scenario.learn.train.threads), ExitStack() as stack:
-        monitor = make_monitor(positioner, run.recording) if wish.causes else None
-        if wish.causes and monitor is None:
+        monitor = make_monitor(positioner, run.recording) if causes else None
+        if causes and monitor is None:
             raise InputError(f"--causes: method {name} refuses no images")
         watch, odometry = None if monitor is None else Watch(monitor), None
         tracker = Tracker(bool(positioner.mirrored), positioner.mapped)
-        if wish.config is None:
-            pictures, unwrap = open_pictures(source, stdin), Unwrapper(shape, wish.circle)
+        if config is None:
+            pictures, unwrap = open_pictures(source, stdin), Unwrapper(shape, circle)
         else:
             view_deg = find_view(run.recording)
-            log = stack.enter_context(open_source(Path(source), wish.config, view_deg, wish.track, progress))
-            check_images(log.polar, shape, view_deg)
-            pictures, unwrap, odometry = log.read(), log.polar.unwrap, log.odometry
+            polar, pictures, odometry = stack.enter_context(
+                open_source(Path(source), config, view_deg, track, progress)
+            )
+            if polar.shape != shape:
+                raise InputError(
+                    f"camera.rings and camera.sectors {polar.shape[:2]}: the run has learned from {shape[:2]}"
+                )
+            check_view(float(np.degrees(2 * polar.lens.half_angle)), view_deg)
+            unwrap = polar.unwrap
 
         def find(one: Picture) -> Picture:
             if one.image is None:

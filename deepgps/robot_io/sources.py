@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import lru_cache, partial
 from itertools import count
 from pathlib import Path
@@ -11,7 +10,6 @@ from typing import BinaryIO, NamedTuple
 import cv2
 import numpy as np
 
-from deepgps.data.checks import check_view
 from deepgps.positioner.pose import Poses
 from deepgps.robot_io.logs.camera import PolarSource, open_polar
 from deepgps.robot_io.logs.containers import open_log
@@ -123,29 +121,20 @@ def decode(name: str, read: Callable[[], bytes]) -> Picture:
         return Picture(name, None, one_line(error))
 
 
-@dataclass(frozen=True)
-class LogSource:
-    """A log that is read."""
-
-    polar: PolarSource  # What makes polar images of its images
-    listed: Heard  # Times of the images
-    # Distance and heading by the wheels at each image, NaN where they are not known; None: not asked for
-    odometry: Odometry | None
-
-    def read(self) -> Iterator[Picture]:
-        """Its images, or why one cannot be decoded."""
-        log_ns, stamp_ns = self.listed.log_ns, self.listed.stamp_ns
-        for number, image in take_images(self.polar.log, self.polar.topic, range(len(log_ns))):
-            time_s = 1e-9 * (stamp_ns[number] or log_ns[number])
-            seen, error = (None, str(image)) if isinstance(image, InputError) else (image, None)
-            yield Picture(str(number), seen, error, time_s)
+def read_log(polar: PolarSource, listed: Heard) -> Iterator[Picture]:
+    """The images of a log, or why one cannot be decoded."""
+    for number, image in take_images(polar.log, polar.topic, range(len(listed.log_ns))):
+        time_s = 1e-9 * (listed.stamp_ns[number] or listed.log_ns[number])
+        seen, error = (None, str(image)) if isinstance(image, InputError) else (image, None)
+        yield Picture(str(number), seen, error, time_s)
 
 
 @contextmanager
 def open_source(
     path: Path, config: Path, field_of_view_deg: float | None, with_odometry: bool, progress: Report
-) -> Iterator[LogSource]:
-    """Open a log for reading, with the ``robot.yaml`` with which it would be imported and, if asked, its wheels.
+) -> Iterator[tuple[PolarSource, Iterator[Picture], Odometry | None]]:
+    """Open a log for reading, with the ``robot.yaml`` with which it would be imported: what makes polar images, its
+    images, and if asked, distance and heading by the wheels at each, NaN where they are not known.
 
     The full angle is that of the polar images, where the configuration does not set it; None: unknown. Raises
     InputError if the log or its configuration cannot be used.
@@ -156,12 +145,13 @@ def open_source(
     with open_log(path) as log:
         if with_odometry:
             drive, polar = read_drive(log, robot, progress), open_polar(log, robot.camera)
-            yield LogSource(polar, drive.listed, _follow(robot, drive, polar, progress))
+            yield polar, read_log(polar, drive.listed), _follow(robot, drive, polar, progress)
             return
         listed = list_images(log, robot.camera.topic)
         log.feed({listed.topic: listed.take}, progress)
         listed.check()
-        yield LogSource(open_polar(log, robot.camera), listed, None)
+        polar = open_polar(log, robot.camera)
+        yield polar, read_log(polar, listed), None
 
 
 def _follow(robot: RobotConfig, drive: LoggedDrive, polar: PolarSource, progress: Report) -> Odometry:
@@ -173,10 +163,3 @@ def _follow(robot: RobotConfig, drive: LoggedDrive, polar: PolarSource, progress
     angle = wheels.at(time_s)
     angle[1:][np.diff(wheels.count_breaks(time_s)) != 0] = np.nan  # the motion since the image before is unknown
     return find_path(angle, robot.wheels.radius_m, robot.wheels.track_m)
-
-
-def check_images(polar: PolarSource, shape: tuple[int, ...], field_of_view_deg: float | None) -> None:
-    """Raise InputError if a log's polar images have another shape or full angle than those of a run."""
-    if polar.shape != shape:
-        raise InputError(f"camera.rings and camera.sectors {polar.shape[:2]}: the run has learned from {shape[:2]}")
-    check_view(float(np.degrees(2 * polar.lens.half_angle)), field_of_view_deg)

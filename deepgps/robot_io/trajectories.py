@@ -187,14 +187,10 @@ def list_poses(one: Trajectory, start_ns: int) -> list[Topic]:
 
 def find_variances(poses: Poses) -> np.ndarray:
     """Variances of x, y and yaw (n, 3) [m2, m2, rad2], large where they are not known."""
-
-    def square(std: np.ndarray | None, unknown: float) -> np.ndarray:
-        variance = np.full(len(poses.position), np.nan) if std is None else np.asarray(std, float) ** 2
-        return np.where(np.isfinite(variance), variance, unknown)
-
-    radius = poses.radius_68
-    place = square(None if radius is None else radius * SIGMA_PER_RADIUS, UNKNOWN_VARIANCE_M2)
-    return np.column_stack([place, place, square(poses.yaw_std, UNKNOWN_VARIANCE_RAD2)])
+    unknown = np.full(len(poses.position), np.nan)
+    place = unknown if poses.radius_68 is None else poses.radius_68 * SIGMA_PER_RADIUS
+    std = np.column_stack([place, place, unknown if poses.yaw_std is None else poses.yaw_std])
+    return np.where(np.isfinite(std), std**2, (UNKNOWN_VARIANCE_M2, UNKNOWN_VARIANCE_M2, UNKNOWN_VARIANCE_RAD2))
 
 
 def _count_ns(time_s: np.ndarray, start_ns: int) -> np.ndarray:

@@ -115,15 +115,13 @@ def write_mcap(path: Path, topics: Sequence[Topic], key: str, progress: Callable
 
 def _write(writer: Writer, topics: Sequence[Topic], progress: Callable[[int, int], None]) -> None:
     store, connections = get_typestore(Stores.ROS2_HUMBLE), dict[str, Any]()
-    logged = np.concatenate([topic.logged for topic in topics])
-    owner = [one for one in topics for _ in one.logged]
-    number = np.concatenate([np.arange(len(topic.logged)) for topic in topics]).tolist()
-    for done, row in enumerate(np.argsort(logged, kind="stable").tolist()):
+    rows = [(ns, number, row) for number, topic in enumerate(topics) for row, ns in enumerate(topic.logged.tolist())]
+    for done, (ns, number, row) in enumerate(sorted(rows)):
         if done % PROGRESS_STRIDE == 0:
-            progress(done, len(logged))
-        message, name = owner[row].make(number[row]), owner[row].name
+            progress(done, len(rows))
+        message, name = topics[number].make(row), topics[number].name
         kind = message.__msgtype__
         if name not in connections:
             connections[name] = writer.add_connection(name, kind, typestore=store)
-        writer.write(connections[name], int(logged[row]), store.serialize_cdr(message, kind))
-    progress(len(logged), len(logged))
+        writer.write(connections[name], ns, store.serialize_cdr(message, kind))
+    progress(len(rows), len(rows))

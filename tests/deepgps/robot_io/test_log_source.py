@@ -47,9 +47,9 @@ def lines(run: deepgps.Run, folder: Path) -> list[dict]:
 
 def test_every_image_is_unwrapped_by_the_calibration_and_located(run: deepgps.Run, folder: Path, lines: list[dict]):
     view_deg = find_view(run.recording)
-    with open_source(folder / "drive.mcap", folder / "robot.yaml", view_deg, False, ignore) as source:
-        assert np.degrees(2 * source.polar.lens.half_angle) == pytest.approx(view_deg)
-        polar = np.stack([source.polar.unwrap(one.image) for one in source.read() if one.image is not None])
+    with open_source(folder / "drive.mcap", folder / "robot.yaml", view_deg, False, ignore) as (source, pictures, _):
+        assert np.degrees(2 * source.lens.half_angle) == pytest.approx(view_deg)
+        polar = np.stack([source.unwrap(one.image) for one in pictures if one.image is not None])
     pose = run.pose(polar, frame="map")
     assert [line["image"] for line in lines] == [str(number) for number in range(len(polar))]
     np.testing.assert_allclose([[line["x"], line["y"]] for line in lines], pose.position, atol=1e-5)
