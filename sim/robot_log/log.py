@@ -1,17 +1,12 @@
 """The log of a recording's drive: what the robot's computers would have recorded, as an MCAP file.
 
-The drive is repeated, since a recording holds only its samples. Worker processes draw the pictures into parts, which
-stay if the work is interrupted. At last all messages are written in the order in which the recorder gets them, beside a
-description of the robot. Names, rates and habits are TurtleBot3's where it has them: a joint state holds the wheels'
-angles of the period before its stamp (turtlebot3_node joint_state.cpp).
+The drive is repeated, since a recording holds only its samples, and all messages are written in the order in which the
+recorder gets them, beside a description of the robot. Names, rates and habits are TurtleBot3's where it has them: a
+joint state holds the wheels' angles of the period before its stamp (turtlebot3_node joint_state.cpp).
 """
 
 import logging
-import re
-import time
-from collections.abc import Sequence
 from contextlib import suppress
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +14,10 @@ import numpy as np
 import yaml
 
 from sim.errors import InputError
-from sim.files.atomic import check_overwrite, check_space, list_files, only_process, remove_files
+from sim.files.atomic import check_overwrite, check_space, only_process, remove_empty
 from sim.files.checksums import check_lines, write_lines
 from sim.geometry import planar_pose
-from sim.recording.assemble import read_if_whole
 from sim.recording.format import Report, open_truth
-from sim.recording.renderers import Part, Renderers, count_renderers
 from sim.rng import stream
 from sim.robot.model import TRACK_M, WHEEL_RADIUS_M, WHEELS
 from sim.robot_log import mcap_file as mcap
@@ -36,9 +29,8 @@ from sim.robot_log.observe import (
     Clock,
     Trace,
     TracedWorld,
-    draw_part,
     make_base_clock,
-    read_pictures,
+    open_camera,
     trace_drive,
 )
 from sim.rooms.spec import ROBOT_PREFIX
@@ -47,7 +39,6 @@ from sim.sensors.camera.mount import draw_leans
 from sim.sensors.encoder import describe_odometry, read_encoders
 from sim.settings import ImageFaultSettings, SimSettings
 
-PARTS = re.compile(r"picture-.+-\d{6}\.npz")  # Names of the files in the folder of an unfinished log
 IMAGE = "/camera/image_raw/compressed"
 PICTURE_BYTES = 40_000  # About the size of a picture
 log = logging.getLogger(__name__)
@@ -109,40 +100,29 @@ def write_robot(log: Path, settings: SimSettings) -> None:
     write_lines(robot_file(log), yaml.safe_dump(values, sort_keys=False))
 
 
-def write_log(
-    path: Path,
-    settings: SimSettings,
-    seed: int,
-    recording: Path,
-    key: str,
-    progress: Report,
-    workers: int | None = None,
-) -> None:
-    """Write the log of a recording's drive, or complete an unfinished one, and the robot's description beside it.
+def write_log(path: Path, settings: SimSettings, seed: int, recording: Path, key: str, progress: Report) -> None:
+    """Write the log of a recording's drive, and the robot's description beside it.
 
     Settings and seed are those of the recording, which must have been driven by this simulator; ``key`` names what
-    determines the log: one of other settings is replaced when the new one is complete. Without a number of workers, as
-    many draw as pay. Raises InputError if the recording holds another drive than these settings give here, WorkError if
-    there is no renderer, physics failed, or the disk is full.
+    determines the log: one of other settings is replaced when the new one is complete. Raises InputError if the
+    recording holds another drive than these settings give here, WorkError if there is no renderer, physics failed, or
+    the disk is full.
     """
-    work = path.with_name(f"{path.name}.parts")
-    with only_process(work):
+    lock = path.with_name(f"{path.name}.lock")
+    with only_process(lock):
         if mcap.read_key(path) == key:
             log.warning("%s is complete already", path)
         else:
-            topics = _observe(path, work, settings, seed, recording, key, progress, workers)
+            topics = _observe(settings, seed, recording, progress)
+            check_space(path, sum(PICTURE_BYTES * len(topic.logged) for topic in topics if topic.name == IMAGE))
             write_robot(path, settings)
             mcap.write_mcap(path, topics, key, lambda *done: progress("log write", *done))
-        remove_files(work, PARTS)
+        remove_empty(lock, path.parent)
 
 
-def _observe(
-    path: Path, work: Path, settings: SimSettings, seed: int, recording: Path, key: str, progress: Report, workers
-) -> list[Topic]:
-    """Drive again and draw the pictures, but for parts of the same log that are there; return the topics."""
-    start = time.perf_counter()
+def _observe(settings: SimSettings, seed: int, recording: Path, progress: Report) -> list[Topic]:
+    """Drive again; return the topics."""
     world = TracedWorld(settings)
-    build_s = time.perf_counter() - start
     trace, angle = trace_drive(world, seed, progress)
     recorded = open_truth(recording).wheel_angle
     if not np.array_equal(angle[: len(recorded)], recorded):
@@ -150,45 +130,27 @@ def _observe(
             f"{recording} holds another drive than its settings give on this machine, with these versions of the "
             "packages; make it again with --fresh, then its log can be made"
         )
-    taken, states = trace.find(RECORDER, PICTURE_S)
-    leans = draw_leans(settings.camera_mount, len(states), stream(seed, "log", "lean"))
-    parts = []
-    for number, first in enumerate(range(0, len(states), PART_PICTURES)):
-        rows, file = slice(first, first + PART_PICTURES), work / f"picture-{key}-{number:06d}.npz"
-        parts.append(Part(world.settings, states[rows], file, None if leans is None else leans[rows]))
-    whole = [part.path for part in parts if read_if_whole(part.path)]
-    for other in set(list_files(work, PARTS)) - set(whole):
-        other.unlink()
-    pictures = PICTURE_BYTES * len(states)  # each is first in a part and then in the log
-    check_space(path, pictures + max(pictures - sum(file.stat().st_size for file in whole), 0))
-    with Renderers(draw_part, workers or count_renderers(len(states)), build_s) as renderers:
-        for part in parts:
-            if part.path not in whole:
-                renderers.give(part)
-        total = len(parts) * PART_PICTURES
-        renderers.finish(lambda drawn: progress("log render", (len(whole) + drawn) * PART_PICTURES, total))
-    progress("log render", total, total)
     wheels, truth = make_wheel_topic(trace, world, seed, make_base_clock(seed)), make_truth_topic(trace, seed)
-    return [*list_camera_topics(taken, settings, seed, [part.path for part in parts]), wheels, truth]
+    return [*list_camera_topics(trace, world.settings, seed), wheels, truth]
 
 
 JOINT_S, PICTURE_S, TRUTH_S = 0.05, 0.1, 0.05
 """Periods of the wheels (TurtleBot3: 20 Hz), the pictures and the truth [s]."""
 JPEG_FORMAT = "rgb8; jpeg compressed bgr8"
-PART_PICTURES = 256
 BASE_LATENCY_S, PICTURE_LATENCY_S, TRUTH_LATENCY_S = (0.002, 0.002), (0.025, 0.005), (0.001, 0.0)
 """How much later than its stamp a message is recorded: at least, and on average in addition [s]. A picture is
 compressed first."""
 
 
-def list_camera_topics(time: np.ndarray, settings: SimSettings, seed: int, parts: Sequence[Path]) -> list[Topic]:
-    """Pictures taken at times (n,) [s], and their calibration."""
-    lens, stamp = make_lens(settings.camera), RECORDER.read(time)
+def list_camera_topics(trace: Trace, settings: SimSettings, seed: int) -> list[Topic]:
+    """Pictures, each drawn when it is written, and their calibration."""
+    time, state = trace.find(RECORDER, PICTURE_S)
+    leans = draw_leans(settings.camera_mount, len(state), stream(seed, "log", "lean"))
+    lens, stamp, sense = make_lens(settings.camera), RECORDER.read(time), open_camera(settings)
     logged = _arrive(time, PICTURE_LATENCY_S, seed, "picture")
-    read = lru_cache(maxsize=1)(read_pictures)  # rows are asked for in order
 
     def take_picture(row: int) -> Any:
-        picture = read(parts[row // PART_PICTURES])[row % PART_PICTURES]
+        picture = sense(state[row], None if leans is None else leans[row])
         return mcap.make_compressed_image(stamp[row], picture, JPEG_FORMAT)
 
     def describe_camera(row: int) -> Any:

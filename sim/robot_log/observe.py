@@ -1,25 +1,19 @@
 """What the robot's two computers observe of a repeated drive, each stamped by its own clock; unsynchronised.
 
 The computer with the camera records the log. The one with the wheels has a clock that differs from the recorder's by a
-few seconds and runs a little faster or slower. Worker processes draw and compress the raw pictures, a file for each few
-hundred.
+few seconds and runs a little faster or slower.
 """
 
-import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
-from pathlib import Path
 from typing import NamedTuple
 
 import cv2
 import mujoco
 import numpy as np
 
-from sim.files.checksums import read_arrays, write_arrays
 from sim.recording.chunks import drive_chunk
 from sim.recording.format import Report
-from sim.recording.renderers import Part, UnsteadyError
 from sim.rng import stream
 from sim.robot.world import RoomWorld
 from sim.sensors.camera.fisheye import Fisheye
@@ -111,25 +105,8 @@ Sense = Callable[[np.ndarray, np.ndarray | None], np.ndarray]
 """(state (nq,), lean of the camera (2,) [rad] or None) -> JPEG file (n,) uint8 of an image (ROWS, COLUMNS, 3)."""
 
 
-def draw_part(part: Part, beat: Callable[[], None]) -> None:
-    """Run in a worker: draw the pictures of a part's states and write their JPEG files.
-
-    Raises UnsteadyError if a picture that was drawn twice came out different; nothing is written.
-    """
-    sense, files = open_camera(part.settings), list[np.ndarray]()  # pyright: ignore[reportArgumentType] (frozen settings do hash)
-    leans = [None] * len(part.states) if part.leans is None else part.leans
-    for state, lean in zip(part.states, leans, strict=True):
-        files.append(sense(state, lean))
-        beat()
-    again = zlib.crc32(part.path.name.encode()) % max(len(files) - 1, 1)
-    if not np.array_equal(sense(part.states[again], leans[again]), files[again]):
-        raise UnsteadyError(f"{part.path}: picture {again} of {len(files)} was drawn twice and came out different")
-    write_arrays(part.path, {f"{number}": file for number, file in enumerate(files)})
-
-
-@lru_cache(maxsize=1)
 def open_camera(settings: SimSettings) -> Sense:
-    """The camera, opened once per worker process, since a context belongs to its process."""
+    """The camera of a room as it is in training."""
     model = RoomWorld(settings.model_copy(update={"deployment": DeploymentSettings()})).model
     camera = Fisheye(model, settings.camera.model_copy(update={"face_px": FACE_PX}), settings.camera_mount)
     data, side = mujoco.MjData(model), (COLUMNS - ROWS) // 2
@@ -141,8 +118,3 @@ def open_camera(settings: SimSettings) -> Sense:
         return cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1]
 
     return sense
-
-
-def read_pictures(path: Path) -> list[np.ndarray]:
-    """The JPEG files of a part, each (n,) uint8; raises DamagedError."""
-    return list(read_arrays(path).values())

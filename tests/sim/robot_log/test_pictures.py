@@ -5,9 +5,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from sim.recording.renderers import Part
 from sim.robot.world import RoomWorld
-from sim.robot_log.observe import COLUMNS, ROWS, draw_part, read_pictures
+from sim.robot_log.observe import COLUMNS, ROWS, open_camera
 from sim.sensors.camera.fisheye import Fisheye
 from sim.sensors.camera.lens import make_lens
 from sim.sensors.camera.unwrap import unwrap_fisheye
@@ -27,13 +26,12 @@ LEAN = np.array([0.05, -0.03])
     ],
     ids=["plain", "another lens", "a faulty mount"],
 )
-def test_unwrapping_a_picture_gives_the_polar_image_of_the_same_state(camera, mount, lean, tmp_path):
+def test_unwrapping_a_picture_gives_the_polar_image_of_the_same_state(camera, mount, lean):
     settings = SimSettings(room=ROOM, camera=camera, camera_mount=mount)
     world = RoomWorld(settings)
     states = world.rest_states(np.array([(*world.free_space.start, yaw) for yaw in HEADINGS]))
-    leans = None if lean is None else np.tile(lean, (len(states), 1))
-    draw_part(Part(settings, states, tmp_path / "part.npz", leans), lambda: None)
-    pictures = [cv2.imdecode(file, cv2.IMREAD_COLOR_RGB) for file in read_pictures(tmp_path / "part.npz")]
+    sense = open_camera(settings)
+    pictures = [cv2.imdecode(sense(state, lean), cv2.IMREAD_COLOR_RGB) for state in states]
     centre, radius_px = ((COLUMNS - 1) / 2, (ROWS - 1) / 2), ROWS / 2
     assert np.array(pictures).shape == (len(HEADINGS), ROWS, COLUMNS, 3)  # TurtleBot3's
     unwrapped = unwrap_fisheye(np.array(pictures), centre, radius_px, camera.rings, camera.sectors)
