@@ -12,30 +12,21 @@ class Deployed(nn.Module):
 
     def __init__(self, positioner: FeaturePositioner) -> None:
         super().__init__()
-        known = positioner.appearance
+        known, self.network, inputs = positioner.appearance, None, None
+        if isinstance(positioner, NetworkPositioner):
+            self.network, inputs = positioner.network, positioner.features
+            self.centre, self.axes = nn.Buffer(positioner.centre), nn.Buffer(positioner.axes)
         self.features = None if known is None else FeatureModule(known.features)
-        self.by_network = NetworkModule(positioner) if isinstance(positioner, NetworkPositioner) else None
+        self.inputs = None if inputs is None else FeatureModule(inputs)
 
     def forward(self, image: torch.Tensor) -> dict[str, torch.Tensor]:
         """Whitened features (B, K) and positions (B, 2) [m] of images (B, rings, sectors, 3) uint8, by name."""
         image = image.float()
         found = {} if self.features is None else {"features": self.features(image)}
-        return found if self.by_network is None else {**found, "position": self.by_network(image)}
-
-
-class NetworkModule(nn.Module):
-    """``NetworkPositioner.locate_camera``."""
-
-    def __init__(self, positioner: NetworkPositioner) -> None:
-        super().__init__()
-        self.features = None if positioner.features is None else FeatureModule(positioner.features)
-        self.network = positioner.network
-        self.centre, self.axes = nn.Buffer(positioner.centre), nn.Buffer(positioner.axes)
-
-    def forward(self, image: torch.Tensor) -> torch.Tensor:
-        """Positions (B, 2) [m] on the map of images (B, rings, sectors, 3) float32."""
-        inputs = image.permute(0, 3, 1, 2) / 255.0 if self.features is None else self.features(image)
-        return (self.network(inputs) - self.centre) @ self.axes
+        if self.network is not None:  # as ``NetworkPositioner.locate_camera``
+            inputs = image.permute(0, 3, 1, 2) / 255.0 if self.inputs is None else self.inputs(image)
+            found["position"] = (self.network(inputs) - self.centre) @ self.axes
+        return found
 
 
 class FeatureModule(nn.Module):

@@ -4,7 +4,7 @@ An MCAP file holds ROS 2 messages: images, wheels, and poses with their covarian
 are on a topic of their own, so that nobody fuses them unawares.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -64,9 +64,12 @@ class Trajectory:
 def write_trajectories(folder: Path, trajectories: Sequence[Trajectory], formats: Sequence[Format]) -> None:
     """Write ``<format>/<drive>/<method>.<format>`` for each trajectory, in those formats that are for one."""
     for one in trajectories:
-        for name in formats:
-            if name in WRITERS:
-                WRITERS[name](folder / name / one.drive / f"{one.name}.{name}", one)
+        if "tum" in formats:
+            yaw = np.full(len(one.time_s), np.nan) if one.poses.yaw is None else one.poses.yaw
+            path = np.column_stack([one.poses.position, yaw])
+            write_tum(folder / "tum" / one.drive / f"{one.name}.tum", one.start_s + one.time_s, path)
+        if "csv" in formats:
+            write_table(folder / "csv" / one.drive / f"{one.name}.csv", one)
 
 
 def open_drives(run: Run) -> dict[str, Recording]:
@@ -112,12 +115,6 @@ def _put_in_order(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
     return order, time_s[order]
 
 
-def write_path(path: Path, one: Trajectory) -> None:
-    """Write a trajectory as a TUM file."""
-    yaw = np.full(len(one.time_s), np.nan) if one.poses.yaw is None else one.poses.yaw
-    write_tum(path, one.start_s + one.time_s, np.column_stack([one.poses.position, yaw]))
-
-
 def write_table(path: Path, one: Trajectory) -> None:
     """Write a trajectory as CSV with a header; a value that is not known is empty."""
     columns = {"x_m": one.poses.position[:, 0], "y_m": one.poses.position[:, 1]}
@@ -129,9 +126,6 @@ def write_table(path: Path, one: Trajectory) -> None:
 
 def _write_value(value: float | bool) -> str:
     return str(int(value)) if isinstance(value, bool) else "" if np.isnan(value) else f"{value:.9g}"
-
-
-WRITERS: dict[Format, Callable[[Path, Trajectory], None]] = {"tum": write_path, "csv": write_table}
 
 
 def write_drives(folder: Path, run: Run, trajectories: Sequence[Trajectory], progress: Report) -> None:

@@ -165,8 +165,7 @@ class PolarSource:
 
     log: Log  # The log
     topic: str  # Topic of the images
-    camera: RawCamera  # Its calibration
-    unwrap: Unwrapping  # Makes polar images
+    unwrap: Unwrapping  # Makes polar images by the calibration
     lens: Lens  # Lens of the polar images
     scratch: Path | None = None  # Folder for images that are drawn; None: the system's for temporary files
     # Numbers of images that cannot be used, and why, as far as they have been read
@@ -214,4 +213,4 @@ def open_polar(log: Log, config: CameraConfig, scratch: Path | None = None) -> P
         )
     lens = Lens(float(half))
     unwrap = Unwrapping(camera, lens, config.rings, config.sectors, config.forward_deg, config.mirrored)
-    return PolarSource(log, config.topic, camera, unwrap, lens, scratch)
+    return PolarSource(log, config.topic, unwrap, lens, scratch)

@@ -59,9 +59,10 @@ def plan_recording(driven: Driven, some: range, images: Images, spacing_m: float
         if len(chosen) < 2:
             continue
         if used:
-            kind, last = judge_turn(driven, range(used[-1] + 1, number)), rows[-1]
-            after = _find_after(driven, number, images, last)
-            if kind == IN_PLACE and after is not None and _is_near(driven, used[-1], -1, images, last):
+            kind = judge_turn(driven, range(used[-1] + 1, number))
+            after = _find_after(driven, number, images, rows[-1])
+            seen = _are_near(driven.path, driven.motions[used[-1]].last, images, rows[-1:]).all()
+            if kind == IN_PLACE and after is not None and seen:
                 # the segment begins with the observation before the turn, which the image after it shows again
                 turns.append((len(rows) - 1, len(turn_rows), len(readings), IN_PLACE))
                 turn_rows.append(after)
@@ -117,20 +118,18 @@ def _find_span(driven: Driven, number: int, images: Images) -> np.ndarray:
 
 
 def _find_after(driven: Driven, number: int, images: Images, last: int) -> int | None:
-    """Row of the first image that shows a segment's beginning after a turn in place; None: there is none.
-
-    It comes after the last row of the segment before, as segments may share a rest.
-    """
+    """The first row, after the last one of the segment before, that shows a segment's beginning after a turn in place;
+    None: there is none."""
     end = np.searchsorted(images.wheel_s, driven.wheels.time_s[driven.motions[number].last])
-    rows = range(max(int(_find_span(driven, number, images)[0]), last + 1), int(end))
-    return next((row for row in rows if _is_near(driven, number, 0, images, row)), None)
+    rows = np.arange(max(_find_span(driven, number, images)[0], last + 1), end)
+    near = rows[_are_near(driven.path, driven.motions[number].first, images, rows)]
+    return int(near[0]) if len(near) else None
 
 
-def _is_near(driven: Driven, number: int, end: int, images: Images, row: int) -> bool:
-    """Whether an image was taken where a motion begins (0) or ends (-1), under the same heading."""
-    message = (driven.motions[number].first, driven.motions[number].last)[end]
-    apart_m = images.path.travelled_m[row] - driven.path.travelled_m[message]
-    return abs(apart_m) <= MATCH_M and abs(images.path.yaw[row] - driven.path.yaw[message]) <= MATCH_RAD
+def _are_near(path: Path, message: int, images: Images, rows: np.ndarray) -> np.ndarray:
+    """Which images were taken where the robot was at a message of the wheels, under the same heading."""
+    apart_m = images.path.travelled_m[rows] - path.travelled_m[message]
+    return (np.abs(apart_m) <= MATCH_M) & (np.abs(images.path.yaw[rows] - path.yaw[message]) <= MATCH_RAD)
 
 
 MIN_COVERED_SHARE = 0.95
@@ -158,7 +157,7 @@ def note_cover(topic: str, drive: LoggedDrive) -> list[str]:
 
 def note_reach(source: PolarSource) -> list[str]:
     """A note if polar images go further from the optical axis than the camera's images do."""
-    reach, half = source.camera.find_half_angle(), source.lens.half_angle
+    reach, half = source.unwrap.camera.find_half_angle(), source.lens.half_angle
     if reach >= MIN_REACH * half:
         return []
     return [
@@ -181,7 +180,7 @@ def describe(config: RobotConfig, source: PolarSource, drive: LoggedDrive, train
         "start_ns": drive.clocks.start_ns,
         "duration_s": round(float(np.ptp(drive.driven.wheels.time_s)), 3),
         "camera": {
-            **asdict(source.camera),
+            **asdict(source.unwrap.camera),
             **config.camera.model_dump(include={"height_m", "forward_deg", "mirrored"}),
         },
         "images": len(drive.image_s),

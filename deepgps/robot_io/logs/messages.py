@@ -95,7 +95,7 @@ class JointLog(Heard):
     def __init__(self, config: WheelConfig) -> None:
         super().__init__(config.topic)
         self.config = config
-        self._names, self._speeds_only = set[str](), True  # of all joints; whether no message holds a position
+        self._names = set[str]()  # Of all joints in messages with positions
 
     @property
     def angle(self) -> np.ndarray:
@@ -106,8 +106,7 @@ class JointLog(Heard):
     def read(self, sample: Sample) -> tuple[float, ...] | None:
         """The positions of both wheels in a message, NaN where it lacks one; None: it holds neither."""
         message = sample.decode()
-        self._names.update(message.name)
-        self._speeds_only &= not len(message.position)
+        self._names.update(message.name if len(message.position) else ())
         places = [find_joint(message.name, name, self.topic) for name in (self.config.left, self.config.right)]
         found = [float(message.position[place]) if place < len(message.position) else math.nan for place in places]
         return (
@@ -116,7 +115,7 @@ class JointLog(Heard):
 
     def check(self) -> None:
         """Raise InputError unless there are positions of both wheels."""
-        if self._names and self._speeds_only:
+        if self.without and not self._names:
             raise InputError(f"{self.topic}: positions are empty in all messages, and the wheels' angles are needed")
         for name, angle in zip((self.config.left, self.config.right), self.angle.T, strict=True):
             if self._names and np.isnan(angle).all():
