@@ -93,7 +93,7 @@ class _Import:
             plan_recording(driven, some, images, config.drive.spacing_m, config.wheels.ticks_per_rev)
             for some in (range(end), range(end, count))
         )
-        if not len(train.motions):
+        if not len(train.observation):
             found = ", ".join(f"{sum(one.kind == kind for one in driven.motions)} {kind}" for kind in KINDS)
             hint = next(iter(self.drive.notes), "do their times overlap, and do both wheels count forward?")
             raise InputError(
@@ -126,7 +126,7 @@ class _Import:
                 known |= {"test_pose": pose[test.observation], "test_observations": images[2]}
         with write_aside(out) as folder:
             self._write_plan(train, images[:2], folder, {"source": "log", "log": about}, known)
-            if "pose" not in known and len(test.motions):
+            if "pose" not in known and len(test.observation):
                 self._write_plan(test, images[2:], folder / DEPLOYMENT_FOLDER, {"source": "log"}, {})
                 finish_recording(folder, read_json(folder / "manifest.json"))
 

@@ -33,7 +33,6 @@ class Plan:
     time_s: np.ndarray  # Time of each reading (R,) [s]
     turn_image: np.ndarray  # Image after each turn in place (K,)
     turns: np.ndarray  # As stored in a recording (T, 4)
-    motions: tuple[int, ...]  # Number of the motion of each segment (S,)
 
 
 @dataclass(frozen=True)
@@ -77,7 +76,7 @@ def plan_recording(driven: Driven, some: range, images: Images, spacing_m: float
     table = np.array(readings, np.int64).reshape(-1, 3)
     counts = np.rint(images.angle[table[:, 2]] * ticks / (2 * np.pi)).astype(np.int64)
     reading, turned = np.column_stack([table[:, :2], counts]), np.array(turns, np.int64).reshape(-1, 4)
-    return Plan(images.number[rows], reading, images.time_s[table[:, 2]], images.number[turn_rows], turned, tuple(used))
+    return Plan(images.number[rows], reading, images.time_s[table[:, 2]], images.number[turn_rows], turned)
 
 
 def judge_turn(driven: Driven, between: range) -> int:
@@ -186,7 +185,7 @@ def describe(config: RobotConfig, source: PolarSource, drive: LoggedDrive, train
         "images": len(drive.image_s),
         "images_used": sum(map(len, used)),
         "held_out": len(test.observation),
-        "segments": len(train.motions),
+        "segments": len(np.unique(train.reading[:, 0])),
         "segments_m": measure_driven(train.reading[:, 0], travelled_m.mean(axis=1)),
         "turns": {name: int((kind == number).sum()) for number, name in enumerate(KINDS)},
         "turns_seen": len(train.turn_image),

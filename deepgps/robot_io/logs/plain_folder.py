@@ -1,11 +1,12 @@
 """A log as plain files: a folder ``images``, ``wheels.csv`` with angles, and ``poses.csv`` if poses are known.
 
-An image's time is in ``images.csv``, or its name is its time: seconds, or nanoseconds if it has at least 16 digits.
+An image's time is in ``images.csv``, or its name is its time: seconds with a point, or at least 16 digits: nanoseconds.
 Values that are empty or nan, as motion capture writes them where it sees nothing, are left out.
 """
 
 import math
 from collections.abc import Collection, Iterator
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -28,12 +29,10 @@ COLUMNS = {
 JOINTS = ["left", "right"]
 SUFFIXES = {".jpg", ".jpeg", ".png"}
 MAX_IMAGE_BYTES = 10**9
-SECOND_DIGITS, NANOSECOND_DIGITS = 10, 16
-"""Digits of whole seconds, and of nanoseconds, since 1970; with fewer, a name is a number and no time."""
 MAX_TIME_S = 9 * 10**9  # Largest plausible time [s]: in the year 2255. Milliseconds since 1970 are larger
-UPTIME_NS, SINCE_1970_NS = 10**15, 10**18
-"""Names in nanoseconds are below the one, by a clock that began with the robot, or from the other on, since 1970 [ns].
-Those between are microseconds since 1970."""
+NANOSECOND_DIGITS, UPTIME_NS, SINCE_1970_NS = 16, 10**15, 10**18
+"""A name of so many digits is a time in nanoseconds: below the one, by a clock that began with the robot, or from the
+other on, since 1970 [ns]. Those between are microseconds since 1970."""
 
 
 def is_plain(path: Path) -> bool:
@@ -75,26 +74,21 @@ def _list_images(folder: Path) -> list[tuple[int, str]]:
         return sorted((ns, name) for ns, name in _read_table(folder / TIMES) if name)
     files = [one for one in (folder / IMAGES).iterdir() if one.suffix.lower() in SUFFIXES]
     files = [one for one in files if not one.name.startswith("._")]  # which macOS adds
-    if len(files) > 2 and all(one.stem.isdecimal() and len(one.stem) < SECOND_DIGITS for one in files):
-        raise InputError(
-            f"{folder / IMAGES}: images are named by numbers such as {files[0].stem}, which are no times; list times "
-            f"and names in {TIMES} ({','.join(COLUMNS[TIMES])})"
-        )
     return sorted((_read_name(one), one.name) for one in files)
 
 
 def _read_name(image: Path) -> int:
     """The time that an image's name tells [ns]."""
-    in_ns = image.stem.isdecimal() and len(image.stem) >= NANOSECOND_DIGITS
-    try:
-        ns = int(image.stem) if in_ns else round(float(image.stem) * 1e9)
-    except (OverflowError, ValueError):
-        raise InputError(f"{image}: its name is no time [s], and there is no {TIMES}") from None
-    if abs(ns) > MAX_TIME_S * 10**9 or (in_ns and UPTIME_NS <= ns < SINCE_1970_NS):
-        raise InputError(
-            f"{image}: its name must be seconds, or nanoseconds since 1970, and there is no {TIMES}; is it in ms or us?"
-        )
-    return ns
+    name = image.stem
+    with suppress(ArithmeticError, ValueError):
+        if not name.isdecimal() and abs(time_s := float(name)) <= MAX_TIME_S:
+            return round(time_s * 1e9)
+        if len(name) >= NANOSECOND_DIGITS and not UPTIME_NS <= (ns := int(name)) < SINCE_1970_NS:
+            return ns
+    raise InputError(
+        f"{image}: its name is no time: it must be seconds with a point, such as 12.345, or nanoseconds; or list times "
+        f"and names in {TIMES} ({','.join(COLUMNS[TIMES])})"
+    )
 
 
 def _read_table(path: Path) -> Iterator[tuple[Any, ...]]:

@@ -4,7 +4,7 @@ Wheels that differ a little make a straight drive look like a slight curve. The 
 therefore taken off before a stretch is judged.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal, NamedTuple, get_args
 
@@ -163,7 +163,5 @@ def _join(motions: list[Motion], path: Path) -> list[Motion]:
 
 def _leave_out_short(motions: list[Motion], kind: Kind, least_m: float, path: Path) -> list[Motion]:
     """The motions with those of a kind that are shorter than ``least_m`` as arcs."""
-    return [
-        Motion("arc", one.first, one.last) if one.kind == kind and path.measure(one) < least_m else one
-        for one in motions
-    ]
+    short = [one.kind == kind and path.measure(one) < least_m for one in motions]
+    return [replace(one, kind="arc") if is_short else one for one, is_short in zip(motions, short, strict=True)]

@@ -23,8 +23,7 @@ from deepgps.positioner.pose import Poses, find_poses
 from deepgps.positioner.positioner import NetworkPositioner
 from deepgps.positioner.registration import REASONS
 from deepgps.positioner.without_features import LandmarkPositioner
-from deepgps.robot_io.deployed import Deployed, FeatureModule
-from deepgps.robot_io.export import MODULES, OUTPUTS, write_onnx
+from deepgps.robot_io.export import MODULES, OUTPUTS, Deployed, FeatureModule, write_onnx
 from sim.alignment import Alignment
 from sim.errors import InputError
 from sim.geometry import wrap

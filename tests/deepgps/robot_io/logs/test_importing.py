@@ -145,7 +145,9 @@ def test_images_are_named_by_times_and_not_by_numbers_or_in_another_unit(tmp_pat
     assert times_of(tmp_path / "log", [f"{17 * 10**17 + n}" for n in range(3)])[:2] == [17 * 10**17, 17 * 10**17 + 1]
     assert times_of(tmp_path / "log", ["a", "b"], ["1700000000.000000001", "2"])[0] == 2 * 10**9
     for first, step in ((0, 1), (1, 1), (0, 7)):
-        with pytest.raises(InputError, match=r"named by numbers such as 0000\d\d, which are no times"):
+        with pytest.raises(
+            InputError, match=r"0000\d\d\.png: its name is no time: .* list times and names in images.csv"
+        ):
             times_of(tmp_path / "log", [f"{first + step * number:06d}" for number in range(9)])
     for unit in (1e3, 1e6, 1e9):
         late = f"{1.7e9 * unit:.0f}"
@@ -154,7 +156,10 @@ def test_images_are_named_by_times_and_not_by_numbers_or_in_another_unit(tmp_pat
         with pytest.raises(InputError, match=r"images\.csv: line 2: time_s '17\d+' must be seconds; is it in ms or ns"):
             times_of(tmp_path / "log", ["a"], [late])
         if unit < 1e9:
-            with pytest.raises(InputError, match=r"17\d+\.png: its name must be seconds, or nanoseconds since 1970, "):
+            with pytest.raises(
+                InputError,
+                match=r"17\d+\.png: its name is no time: it must be seconds with a point, such as 12\.345, or nanos",
+            ):
                 times_of(tmp_path / "log", [late])
 
 
