@@ -215,13 +215,12 @@ def export_command(words: Sequence[str]) -> None:
     if raw is not None and not arguments.onnx:
         raise InputError("--centre and --radius-px are for --onnx")
     from deepgps.api.run import load
-    from deepgps.robot_io.export import default_folder, export_drives, export_onnx
+    from deepgps.robot_io.export import export_drives, export_onnx
 
     run, method, frame = load(arguments.run, arguments.plugin), arguments.method, arguments.frame
-    folder, written = arguments.out or default_folder(arguments.run), []
+    folder, written = arguments.out or Path("export") / arguments.run.resolve().name, []
     with working_in(folder), show_progress(errors) as progress:
-        formats: tuple[Literal["tum", "csv", "mcap"], ...] = ("tum", "csv", "mcap")
-        if formats := tuple(one for one in formats if getattr(arguments, one)):
+        if formats := [name for name in ("tum", "csv", "mcap") if getattr(arguments, name)]:
             written += export_drives(run, folder, method, frame, formats, progress)
         if arguments.onnx:
             written += export_onnx(run, folder, method, frame, raw, progress)

@@ -17,7 +17,7 @@ from deepgps.data.features import PRODUCT_FLOOR, Features, describe_rings, make_
 from deepgps.learning.trainer import load_triton
 from deepgps.positioner import appearance
 from deepgps.positioner.positioner import FeaturePositioner, NetworkPositioner, Positioner, RegistrationPositioner
-from deepgps.robot_io.trajectories import Format, find_trajectories, write_drives, write_trajectories
+from deepgps.robot_io.trajectories import find_trajectories, write_drives, write_trajectories
 from deepgps.runs.owned_folder import Kind, hold
 from deepgps.terminal.progress import Report
 from sim.alignment import Alignment
@@ -35,13 +35,8 @@ EXPORT = Kind("export", "onnx/model.onnx", lambda: FILES)
 ABOUT_FILE = "export.json"  # The file that says which run is exported
 
 
-def default_folder(run: Path) -> Path:
-    """Folder of a run's export if the user names none: export/<name of the run's folder>."""
-    return Path("export") / run.resolve().name
-
-
 def export_drives(
-    run: Run, folder: Path, method: str | None, frame: Frame | None, formats: Sequence[Format], progress: Report
+    run: Run, folder: Path, method: str | None, frame: Frame | None, formats: Sequence[str], progress: Report
 ) -> list[Path]:
     """Write the drives in these formats into a folder; return its subfolders.
 

@@ -44,21 +44,15 @@ class Unwrapper:
         """
         if image.shape == self.shape:
             return image
-        rings, sectors, _ = self.shape
-        circle = self.circle or fill(image)
+        (height, width), (rings, sectors, _) = image.shape[:2], self.shape
+        if self.circle is None and height != width:
+            raise InputError(
+                f"it has {width} x {height} px: --centre and --radius-px must say where the image circle is, unless an "
+                "image is square and the circle fills it"
+            )
+        circle = self.circle or RoundImage(((width - 1) / 2, (height - 1) / 2), width / 2)
         circle.check(image, rings, sectors)
         return draw_polar(image, self._find_points(circle, rings, sectors), rings, sectors)
-
-
-def fill(image: np.ndarray) -> RoundImage:
-    """The circle that fills a square image; raises InputError if it is not square."""
-    height, width = image.shape[:2]
-    if height != width:
-        raise InputError(
-            f"it has {width} x {height} px: --centre and --radius-px must say where the image circle is, unless an "
-            "image is square and the circle fills it"
-        )
-    return RoundImage(((width - 1) / 2, (height - 1) / 2), width / 2)
 
 
 class Picture(NamedTuple):

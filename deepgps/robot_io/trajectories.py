@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import cv2
 import numpy as np
@@ -33,7 +33,6 @@ from sim.robot_log.mcap_file import (
     write_mcap,
 )
 
-Format = Literal["tum", "csv", "mcap"]
 TRUTH = "truth"
 COLUMNS = {
     "yaw": "yaw_rad",
@@ -61,7 +60,7 @@ class Trajectory:
     start_s: float = 0.0  # When the recording began [s since 1970]; 0 unless it is of a robot's log
 
 
-def write_trajectories(folder: Path, trajectories: Sequence[Trajectory], formats: Sequence[Format]) -> None:
+def write_trajectories(folder: Path, trajectories: Sequence[Trajectory], formats: Sequence[str]) -> None:
     """Write ``<format>/<drive>/<method>.<format>`` for each trajectory, in those formats that are for one."""
     for one in trajectories:
         if "tum" in formats:
@@ -173,7 +172,7 @@ def list_poses(one: Trajectory, start_ns: int) -> list[Topic]:
 
     def make(rows: np.ndarray, number: int) -> Any:
         row = rows[number]
-        return make_uncertain_pose(int(ns[row]), pose[row], np.diag(variance[row]))
+        return make_uncertain_pose(int(ns[row]), pose[row], variance[row])
 
     kinds = {"pose": np.flatnonzero(accepted), "refused": np.flatnonzero(~accepted)}
     return [Topic(f"/{one.name}/{kind}", ns[rows], partial(make, rows)) for kind, rows in kinds.items() if len(rows)]

@@ -43,11 +43,10 @@ def make_pose(ns: int, pose: np.ndarray) -> Any:
     return ros.geometry_msgs__msg__PoseStamped(_header(ns, "map"), _pose(pose))
 
 
-def make_uncertain_pose(ns: int, pose: np.ndarray, covariance: np.ndarray) -> Any:
-    """A planar pose (3,) in the frame of the map, with its covariance (3, 3) [m, m, rad]."""
-    full, rows = np.zeros((6, 6)), [0, 1, 5]
-    full[np.ix_(rows, rows)] = covariance
-    inner = ros.geometry_msgs__msg__PoseWithCovariance(_pose(pose), full.reshape(-1))
+def make_uncertain_pose(ns: int, pose: np.ndarray, variance: np.ndarray) -> Any:
+    """A planar pose (3,) in the frame of the map, with its variances (3,) [m2, m2, rad2]."""
+    x, y, yaw = variance
+    inner = ros.geometry_msgs__msg__PoseWithCovariance(_pose(pose), np.diag([x, y, 0.0, 0.0, 0.0, yaw]).reshape(-1))
     return ros.geometry_msgs__msg__PoseWithCovarianceStamped(_header(ns, "map"), inner)
 
 
@@ -57,11 +56,8 @@ def _header(ns: int, frame: str) -> Any:
 
 def _pose(pose: np.ndarray) -> Any:
     x, y, yaw = pose.tolist()
-    return ros.geometry_msgs__msg__Pose(ros.geometry_msgs__msg__Point(x, y, 0.0), _turn_about_z(yaw))
-
-
-def _turn_about_z(yaw: float) -> Any:
-    return ros.geometry_msgs__msg__Quaternion(0.0, 0.0, float(np.sin(yaw / 2)), float(np.cos(yaw / 2)))
+    turn = ros.geometry_msgs__msg__Quaternion(0.0, 0.0, float(np.sin(yaw / 2)), float(np.cos(yaw / 2)))
+    return ros.geometry_msgs__msg__Pose(ros.geometry_msgs__msg__Point(x, y, 0.0), turn)
 
 
 KEY = "deepgps"

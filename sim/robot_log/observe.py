@@ -101,12 +101,11 @@ ROWS, COLUMNS = 480, 640
 """Size of the image (TurtleBot3: 640 x 480); the round picture is as high and in its middle [px]."""
 FACE_PX = 160  # Side of the faces that it is drawn from: half of what would resolve each of its pixels, for speed
 QUALITY = 85
-Sense = Callable[[np.ndarray, np.ndarray | None], np.ndarray]
-"""(state (nq,), lean of the camera (2,) [rad] or None) -> JPEG file (n,) uint8 of an image (ROWS, COLUMNS, 3)."""
 
 
-def open_camera(settings: SimSettings) -> Sense:
-    """The camera of a room as it is in training."""
+def open_camera(settings: SimSettings) -> Callable[[np.ndarray, np.ndarray | None], np.ndarray]:
+    """The camera in the room as it is in training: of a state (nq,), with a lean (2,) [rad] or None, it gives the JPEG
+    file (n,) uint8 of an image (ROWS, COLUMNS, 3)."""
     model = RoomWorld(settings.model_copy(update={"deployment": DeploymentSettings()})).model
     camera = Fisheye(model, settings.camera.model_copy(update={"face_px": FACE_PX}), settings.camera_mount)
     data, side = mujoco.MjData(model), (COLUMNS - ROWS) // 2

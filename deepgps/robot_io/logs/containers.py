@@ -88,7 +88,7 @@ def open_log(path: Path) -> Iterator[Log]:
     name = shorten(str(path), 300)
     if not path.exists():
         raise InputError(f"{name}: there is no such log")
-    if plain_folder.is_plain(path):
+    if (path / plain_folder.WHEELS).is_file() and (path / plain_folder.IMAGES).is_dir():
         with explained(path):
             part = plain_folder.open_folder(path)
         yield Log(path, parts=[part])
@@ -197,7 +197,7 @@ def _make_part(file: Path, types: Mapping[str, str], counts: Mapping[str, int], 
                 stamp_ns = _read_stamp(data, ros1) if topic in stamped else 0
                 yield Sample(topic, log_ns, stamp_ns, partial(decode, topic, data))
 
-    return Part(file, types, counts, read)
+    return Part(types, counts, read)
 
 
 @cache

@@ -155,11 +155,11 @@ def judge_pairs(
             f"do not turn, first at {pairs.first_s[frozen].min():.1f} s: is the camera frozen or covered there?"
         )
     lag = estimate_lag(pairs, time_s, yaw)
+    if lag is None and given == "estimate":
+        raise InputError(
+            f"wheels.lag_s estimate: fewer than {MIN_PAIRS} pairs of images show a turn in place; give a number"
+        )
     if lag is None:
-        if given == "estimate":
-            raise InputError(
-                f"wheels.lag_s estimate: fewer than {MIN_PAIRS} pairs of images show a turn in place; give a number"
-            )
         return float(given), notes
     if lag.agree < MIN_AGREEING_SHARE and lag.mirrored > max(MIN_AGREEING_SHARE, lag.agree + 0.2):
         raise InputError(

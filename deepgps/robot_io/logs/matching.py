@@ -60,7 +60,7 @@ def plan_recording(driven: Driven, some: range, images: Images, spacing_m: float
         if used:
             kind = judge_turn(driven, range(used[-1] + 1, number))
             after = _find_after(driven, number, images, rows[-1])
-            seen = _are_near(driven.path, driven.motions[used[-1]].last, images, rows[-1:]).all()
+            seen = _are_near(driven.path, driven.motions[used[-1]].last, images, np.array(rows[-1:])).all()
             if kind == IN_PLACE and after is not None and seen:
                 # the segment begins with the observation before the turn, which the image after it shows again
                 turns.append((len(rows) - 1, len(turn_rows), len(readings), IN_PLACE))

@@ -16,9 +16,7 @@ JOINT_STATE, ODOMETRY = "sensor_msgs/msg/JointState", "nav_msgs/msg/Odometry"
 MIN_LENGTH = 1e-6  # Length of a quaternion up to which it tells no orientation
 MAX_SIDEWAYS_SHARE = 0.2  # Part of an odometry's path that may go sideways; more, and its orientation is wrong
 POSE_KINDS = (
-    "geometry_msgs/msg/PoseStamped",
-    "geometry_msgs/msg/PoseWithCovarianceStamped",
-    "geometry_msgs/msg/TransformStamped",
+    *(f"geometry_msgs/msg/{name}" for name in ("PoseStamped", "PoseWithCovarianceStamped", "TransformStamped")),
     ODOMETRY,
 )
 
@@ -137,11 +135,7 @@ def find_joint(names: Sequence[str], wanted: str, topic: str) -> int:
     return like[0] if like else len(names)
 
 
-WheelLog = JointLog | OdometryLog
-"""The wheels of a log."""
-
-
-def open_wheels(log: Log, config: WheelConfig) -> WheelLog:
+def open_wheels(log: Log, config: WheelConfig) -> JointLog | OdometryLog:
     """Prepare to read the wheels of a log; raises InputError if it lacks the topic, or an odometry is reversed."""
     if log.check_topic(config.topic, "wheels.topic", (JOINT_STATE, ODOMETRY)) == JOINT_STATE:
         return JointLog(config)

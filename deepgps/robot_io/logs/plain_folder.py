@@ -35,11 +35,6 @@ NANOSECOND_DIGITS, UPTIME_NS, SINCE_1970_NS = 16, 10**15, 10**18
 other on, since 1970 [ns]. Those between are microseconds since 1970."""
 
 
-def is_plain(path: Path) -> bool:
-    """Whether a path is a log of plain files."""
-    return (path / WHEELS).is_file() and (path / IMAGES).is_dir()
-
-
 def open_folder(folder: Path) -> Part:
     """The files as topics of the same names, with messages like those of ROS."""
     images = _list_images(folder)
@@ -50,7 +45,7 @@ def open_folder(folder: Path) -> Part:
             yield from (Sample(topic, ns, ns, partial(_make_message, folder, topic, *values)) for ns, *values in rows)
 
     types = {name: kind for name, kind in TYPES.items() if (folder / name).exists()}
-    return Part(folder, types, {IMAGES: len(images)}, read)
+    return Part(types, {IMAGES: len(images)}, read)
 
 
 def _make_message(folder: Path, topic: str, *values: str) -> Any:

@@ -24,7 +24,6 @@ class Sample(NamedTuple):
 class Part(NamedTuple):
     """A part of a log."""
 
-    path: Path  # Its file or folder
     types: Mapping[str, str]  # Type of each topic, such as ``sensor_msgs/msg/JointState``
     counts: Mapping[str, int]  # Number of messages of each topic where an index tells it
     read: Callable[[Collection[str]], Iterator[Sample]]  # Gives the messages of some topics

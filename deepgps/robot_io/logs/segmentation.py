@@ -72,7 +72,10 @@ def follow(wheels: Wheels, radius_m: float, track_m: float) -> Driven:
     """What a robot with wheels of this radius and track did [m]."""
     path = find_path(wheels.angle, radius_m, track_m)
     even = _take_off_usual(wheels, path)
-    motions = _leave_out_short(_group(_judge(wheels, even, track_m)), "back", MIN_BACK_M, even)
+    kind = _judge(wheels, even, track_m)
+    edges = [0, *(np.flatnonzero(np.diff(kind)) + 1).tolist(), len(kind)]
+    motions = [Motion(KINDS[kind[first]], first, last) for first, last in pairwise(edges)]
+    motions = _leave_out_short(motions, "back", MIN_BACK_M, even)
     motions = [part for motion in _join(motions, even) for part in _divide_bent(motion, even)]
     return Driven(wheels, path, _leave_out_short(motions, "straight", MIN_SEGMENT_M, even))
 
@@ -124,12 +127,6 @@ def _measure_noise(time_s: np.ndarray, rate: np.ndarray, speed: np.ndarray) -> f
     both = driving[step:] & driving[:-step]
     change = np.abs(rate[step:] - rate[:-step])[both]
     return float(1.4826 * np.median(change) / np.sqrt(2)) if len(change) else 0.0
-
-
-def _group(kind: np.ndarray) -> list[Motion]:
-    cut = np.flatnonzero(np.diff(kind)) + 1
-    edges = [0, *cut.tolist(), len(kind)]
-    return [Motion(KINDS[kind[first]], first, last) for first, last in pairwise(edges)]
 
 
 def _divide_bent(motion: Motion, path: Path) -> list[Motion]:

@@ -29,7 +29,7 @@ MAX_REVERSALS = 8  # Messages in a row after each of which a wheel turns back: n
 REVERSAL_SHARE = 0.1  # The same share of messages of which one wheel jumps there and back
 MIN_RESTARTS = 2  # Restarts of a counter, all at one count, from which this is its range
 MIN_MESSAGES = 20  # Fewest messages of wheels that a drive has
-MAX_NOTES = 5  # Notes of one kind
+MAX_TIMES = 5  # Times in a note
 JUMPING_ODOMETRY = "the odometry jumps, as one that is corrected by other sensors: give the wheels' own"
 JUMPING_WHEELS = (
     "the wheels' angles jump back and forth, as if more than one program published them (record only the one of the "
@@ -103,13 +103,13 @@ def clean_wheels(
         angle[row + 1 :] += angle[row] - angle[row + 1]
     for kind, what in (
         (jumps, "the counter restarted, so the way between is unknown"),
-        (silent & ~paused, "no message for {:.1f} s while the robot moved, so the way between is unknown"),
-        (paused & ~jumps, "nothing was logged for {:.0f} s, so the robot may have been carried elsewhere"),
+        (silent & ~paused, "no message for up to {:.1f} s while the robot moved, so the way between is unknown"),
+        (paused & ~jumps, "nothing was logged for up to {:.0f} s, so the robot may have been carried elsewhere"),
     ):
-        rows = np.flatnonzero(kind)
-        notes += [f"at {time_s[row]:.2f} s: {what.format(seconds[row])}" for row in rows[:MAX_NOTES]]
-        if len(rows) > MAX_NOTES:
-            notes.append(f"the same at {len(rows) - MAX_NOTES} other times")
+        if kind.any():
+            times = ", ".join(f"{at_s:.2f}" for at_s in time_s[:-1][kind][:MAX_TIMES])
+            more = f" and {kind.sum() - MAX_TIMES} other times" if kind.sum() > MAX_TIMES else ""
+            notes.append(f"at {times} s{more}: {what.format(seconds[kind].max())}")
     return Wheels(time_s, angle, broken, tuple(f"{topic}: {note}" for note in notes))
 
 

@@ -230,7 +230,7 @@ NOTED_CHANGES: dict[str, tuple[Change, dict[str, Any], str]] = {
     "wheels lost": (
         lose(JOINTS, 1.4, 3.18),
         {},
-        r"/joint_states: at 1\..* no message for 1\.9 s while the robot moved",
+        r"/joint_states: at 1\..* no message for up to 1\.9 s while the robot moved",
     ),
     "counter restarts": (restart, {}, r"/joint_states: at 13\.9.* the counter restarted"),
     "camera fails": (
