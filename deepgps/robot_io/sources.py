@@ -142,7 +142,7 @@ def open_source(
             yield polar, read_log(polar, drive.listed), _follow(robot, drive, polar, progress)
             return
         listed = list_images(log, robot.camera.topic)
-        log.feed({listed.topic: listed.take}, progress)
+        log.feed([listed], progress)
         listed.check()
         polar = open_polar(log, robot.camera)
         yield polar, read_log(polar, listed), None

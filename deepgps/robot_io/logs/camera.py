@@ -89,16 +89,16 @@ def read_info(message: Any) -> RawCamera | None:
 
 def _read_info(log: Log, topic: str) -> RawCamera:
     log.check_topic(topic, "camera.info", [CAMERA_INFO])
-    why = f"{topic} holds no message"
-    for sample in log.read([topic]):
-        try:
-            camera = read_info(sample.decode())
-        except InputError as error:
-            raise InputError(f"{topic}: {error}") from None
-        if camera is not None:
-            return camera
-        why = f"{topic}: the camera is not calibrated (K is 0); give camera.file or camera.intrinsics"
-    raise InputError(why)
+    try:
+        cameras = (read_info(sample.decode()) for sample in log.read([topic]))
+        camera = next((one for one in cameras if one is not None), None)
+    except InputError as error:
+        raise InputError(f"{topic}: {error}") from None
+    if camera is None:
+        raise InputError(
+            f"{topic}: the camera is not calibrated (K is 0 in every message); give camera.file or intrinsics"
+        )
+    return camera
 
 
 def read_calibration(path: Path) -> RawCamera:

@@ -7,7 +7,7 @@ standard types, which are alike in all versions of ROS, so definitions in a file
 import re
 import struct
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cache, partial
@@ -24,7 +24,7 @@ from rosbags.typesys.store import Typestore
 
 from deepgps.config.plain_yaml import MAX_FILE_BYTES
 from deepgps.robot_io.logs import plain_folder
-from deepgps.robot_io.logs.sample import MENDING, Part, Sample, explained
+from deepgps.robot_io.logs.sample import MENDING, Heard, Part, Sample, explained
 from deepgps.terminal.progress import Report
 from sim.errors import InputError, one_line, read_file, shorten
 
@@ -59,8 +59,9 @@ class Log:
             if wanted := [topic for topic in topics if topic in part.types]:
                 yield from part.read(wanted)
 
-    def feed(self, takers: Mapping[str, Callable[[Sample], None]], progress: Report, label: str = "read log") -> None:
+    def feed(self, heard: Iterable[Heard], progress: Report, label: str = "read log") -> None:
         """Read some topics once, and give each message to what takes its topic."""
+        takers = {one.topic: one.take for one in heard}
         total = sum(part.counts.get(topic, 0) for part in self.parts for topic in takers)
         progress(label, 0, total or 1)
         for count, sample in enumerate(self.read(takers), start=1):

@@ -42,7 +42,7 @@ def read_drive(log: Log, config: RobotConfig, progress: Report) -> LoggedDrive:
             raise InputError(f"pose.topic {config.pose.topic}: is the topic of the wheels")
         pose_log = PoseLog(config.pose.topic)
     heard = [one for one in (wheel_log, listed, pose_log) if one is not None]
-    log.feed({one.topic: one.take for one in heard}, progress)
+    log.feed(heard, progress)
     for one in heard:
         one.check()
     clocks = choose_times({one.topic: (one.log_ns, one.stamp_ns) for one in heard}, config.clocks == "logged")

@@ -91,11 +91,11 @@ class Seen(Heard):
 def look(path: Path, progress: Report) -> str:
     """A ``robot.yaml`` for a log, with what the log holds as comments; raises InputError if it is none."""
     with open_log(path) as log:
-        seen = {topic: Seen(topic, kind) for topic, kind in sorted(log.types.items())}
-        log.feed({topic: one.take for topic, one in seen.items()}, progress, "look")
+        seen = [Seen(topic, kind) for topic, kind in sorted(log.types.items())]
+        log.feed(seen, progress, "look")
         lines = [f"{shorten(str(path), 300)}", *(f"note: {note}" for note in log.notes), ""]
-        lines += [line for one in seen.values() for line in one.describe()]
-    some = [one for one in seen.values() if one.log_ns]
+        lines += [line for one in seen for line in one.describe()]
+    some = [one for one in seen if one.log_ns]
     wheels = _find_wheels(some)
     camera = _find_most(one for one in some if one.kind in IMAGES and "depth" not in one.topic.lower())
     pose = _find_most(
