@@ -233,7 +233,7 @@ def write_log(path: Path, notes: Sequence[Note], form: str = "mcap") -> Path:
     Args:
         path: Its path without suffix.
         notes: Its messages.
-        form: bag, db3, db3_zstd, mcap or mcap_lz4; the last is one file.
+        form: bag, db3, db3_zstd, db3_file_zstd, mcap or mcap_lz4; the last is one file.
 
     Returns:
         The log.
@@ -249,6 +249,8 @@ def write_log(path: Path, notes: Sequence[Note], form: str = "mcap") -> Path:
         bag, serialize = Bag2(path, version=9, storage_plugin=plugin), store.serialize_cdr
         if form == "db3_zstd":
             bag.set_compression(CompressionMode.MESSAGE, CompressionFormat.ZSTD)
+        if form == "db3_file_zstd":
+            bag.set_compression(CompressionMode.FILE, CompressionFormat.ZSTD)
     with bag:
         links: Any = {topic: bag.add_connection(topic, kind, typestore=store) for topic, kind in topics.items()}
         for note in notes:

@@ -28,7 +28,7 @@ from deepgps.robot_io.logs.sample import MENDING, Heard, Part, Sample, explained
 from deepgps.terminal.progress import Report
 from sim.errors import InputError, one_line, read_file, shorten
 
-METADATA, ZSTD_MAGIC = "metadata.yaml", b"\x28\xb5\x2f\xfd"
+METADATA, ZSTD, ZSTD_MAGIC = "metadata.yaml", ".zstd", b"\x28\xb5\x2f\xfd"
 OTHER_CONTENTS = {
     b"version https://git-lfs": "a Git LFS pointer (git lfs pull)",
     b"<": "a web page in place of the file",
@@ -99,17 +99,20 @@ def open_log(path: Path) -> Iterator[Log]:
         raise InputError(f"{name}: a log is a .bag, .mcap or .db3 file, or a folder{hint}")
     files, notes = ([path], []) if path.is_file() else _list_files(path)
     if not files:
-        what = "neither .bag, .mcap or .db3 files (unpack .zstd by zstd -d) nor images and wheels.csv"
+        what = "neither .bag, .mcap or .db3 files nor images and wheels.csv"
         raise InputError(f"{name} holds no log: {what}")
     with ExitStack() as stack:
         yield Log(path, notes, [_open_file(file, stack, notes) for file in files])
 
 
 def _list_files(folder: Path) -> tuple[list[Path], list[str]]:
-    """The files of a log in the order in which they were written, and notes."""
+    """The files of a log in the order in which they were written, and notes; the folder itself, if files are compressed
+    as a whole."""
     files = [one for one in folder.iterdir() if one.is_file() and not one.name.startswith("._")]  # which macOS adds
     stored = [one for one in files if one.suffix in MENDING and one.stat().st_size]
     stored.sort(key=lambda one: [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", one.name)])
+    if not stored and any(one.suffix == ZSTD for one in files) and (folder / METADATA).is_file():
+        return [folder], []
     if all(one.suffix == ".bag" for one in stored):
         return stored, []
     about = read_file(folder / METADATA, MAX_FILE_BYTES, METADATA) if (folder / METADATA).is_file() else b""
@@ -146,15 +149,15 @@ def _open_file(file: Path, stack: ExitStack, notes: list[str]) -> Part:
 def _check_file(file: Path) -> None:
     """Raise InputError if a file is something else, or is one of those that the library reads wrongly."""
     name = shorten(str(file), 300)
-    with file.open("rb") as stream:
-        head = stream.read(64).lstrip()
-    for begin, what in OTHER_CONTENTS.items():
-        if head.startswith(begin):
-            raise InputError(f"{name} is {what}")
+    if file.is_file():
+        with file.open("rb") as stream:
+            head = stream.read(64).lstrip()
+        if kind := next((what for begin, what in OTHER_CONTENTS.items() if head.startswith(begin)), None):
+            raise InputError(f"{name} is {kind}")
     wal = file.with_name(f"{file.name}-wal")
     if file.suffix == ".db3" and wal.is_file() and wal.stat().st_size:  # whose messages would be missed
         raise InputError(f"{name}: its last messages are in {wal.name}; sqlite3 {file.name} 'PRAGMA wal_checkpoint'")
-    if file.suffix == ".db3" and re.search(r"[#?%]", str(file.absolute())):
+    if file.suffix in {".db3", ""} and re.search(r"[#?%]", str(file.absolute())):
         raise InputError(f"{name}: the path of a database must be without #, ? and %")
 
 
@@ -181,7 +184,7 @@ def _read_records(file: Path) -> Iterator[Any]:
 
 
 def _make_part(file: Path, types: Mapping[str, str], counts: Mapping[str, int], walk: Walk) -> Part:
-    """The part of a log that a file is."""
+    """The part of a log that a file is, or a folder of files that are compressed as a whole."""
     ros1 = file.suffix == ".bag"
     store = _load_standard(ros1)
     stamped = {topic for topic, kind in types.items() if _has_header(store, kind)}

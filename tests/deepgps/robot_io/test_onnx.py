@@ -69,7 +69,7 @@ def run(finished_run: Path) -> deepgps.Run:
 @pytest.fixture(scope="module")
 def leaning(run: deepgps.Run) -> NetworkPositioner:
     """A trained positioner as of a camera that leans and sits ahead of the axle."""
-    positioner = run.positioner("deepgps")
+    positioner = run.positioner("deepgps_compass")
     assert isinstance(positioner, NetworkPositioner)
     return replace(positioner, upright=Upright(Lens(1.6), (0.05, -0.03)), mount=(0.04, -0.02))
 
@@ -84,7 +84,7 @@ def images(run: deepgps.Run) -> np.ndarray:
 @pytest.fixture(scope="module")
 def exported(leaning: NetworkPositioner, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("onnx")
-    write_onnx(folder, "deepgps", leaning, MIRRORING, RAW)
+    write_onnx(folder, "deepgps_compass", leaning, MIRRORING, RAW)
     return folder
 
 
@@ -128,7 +128,7 @@ def test_the_example_finds_the_same_poses_of_polar_and_raw_images(
         np.testing.assert_array_equal(one[name], other[name], "raw images are unwrapped as the testbed does")
     assert not any("deepgps" in line for file in exported.glob("*.py") for line in imports(file))
     meta = json.loads((exported / "meta.json").read_text())
-    assert (meta["method"], meta["frame"], meta["image"]) == ("deepgps", "world", [8, 32, 3])
+    assert (meta["method"], meta["frame"], meta["image"]) == ("deepgps_compass", "world", [8, 32, 3])
     assert meta["raw"] == {"centre_px": [60.0, 58.0], "radius_px": 50.0, "forward_deg": 20.0}
     assert meta["mirrored"] != leaning.mirrored, "the frame is mirrored"
     assert set(meta["outputs"]) == set(OUTPUTS)
@@ -170,7 +170,7 @@ def test_networks_on_images_give_their_positions():
 @pytest.mark.slow
 def test_a_network_on_images_is_written_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     positioner = image_positioner("invariant")
-    write_onnx(tmp_path, "deepgps", positioner, None, None)
+    write_onnx(tmp_path, "deepgps_compass", positioner, None, None)
     image = np.random.default_rng(3).integers(0, 256, (16, 32, 3), dtype=np.uint8)
     found = load_example(tmp_path, monkeypatch).Locator().locate(image)["position"]
     np.testing.assert_allclose(found, positioner(image[None])[0], atol=1e-4)
@@ -183,5 +183,5 @@ def test_what_cannot_be_written_is_refused_in_one_line(
         write_onnx(tmp_path, "knn", LandmarkPositioner(np.zeros((3, 2)), np.inf), None, None)
     monkeypatch.setitem(sys.modules, "onnxscript", None)
     with pytest.raises(InputError, match="--onnx needs pip install onnx onnxscript onnxruntime"):
-        write_onnx(tmp_path, "deepgps", leaning, None, None)
+        write_onnx(tmp_path, "deepgps_compass", leaning, None, None)
     assert list(tmp_path.iterdir()) == []

@@ -47,10 +47,10 @@ def test_evo_measures_the_same_error(run: deepgps.Run, frame: deepgps.api.run.Fr
 
 
 def test_csv_holds_the_poses(run: deepgps.Run, tmp_path: Path):
-    write_trajectories(tmp_path, find_trajectories(run, "deepgps", "world", ignore), ["csv"])
-    with (tmp_path / "csv" / "training" / "deepgps.csv").open() as file:
+    write_trajectories(tmp_path, find_trajectories(run, "deepgps_compass", "world", ignore), ["csv"])
+    with (tmp_path / "csv" / "training" / "deepgps_compass.csv").open() as file:
         rows = list(csv.DictReader(file))
-    pose, time_s = run.pose(run.recording.observation, "deepgps"), run.recording.observation_time
+    pose, time_s = run.pose(run.recording.observation, "deepgps_compass"), run.recording.observation_time
     assert pose.yaw is not None and time_s is not None and len(rows) == len(pose.position)
     read = np.array([[row[name] or np.nan for name in ("time_s", "x_m", "y_m", "yaw_rad")] for row in rows], float)
     order = np.argsort(time_s, kind="stable")

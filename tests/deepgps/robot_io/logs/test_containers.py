@@ -52,6 +52,12 @@ def test_a_database_needs_no_metadata(notes: list[Note], tmp_path: Path) -> None
         assert read_all(folder) == (whole, ())
 
 
+def test_a_database_that_is_compressed_as_a_whole_is_read(notes: list[Note], tmp_path: Path) -> None:
+    folder = write_log(tmp_path / "log", notes, "db3_file_zstd")
+    assert {file.suffix for file in folder.iterdir()} == {".zstd", ".yaml"}
+    assert read_all(folder) == (sorted(note.log_ns for note in notes), ())
+
+
 def test_a_database_that_would_be_read_wrongly_is_refused(notes: list[Note], tmp_path: Path) -> None:
     (file,) = write_log(tmp_path / "log", notes, "db3").glob("*.db3")
     for name in ("a#1", "a?x", "a%20y"):
@@ -128,7 +134,7 @@ def test_files_that_are_something_else_are_named(tmp_path: Path) -> None:
         check_refused(tmp_path / name, message)
     check_refused(tmp_path / "none.mcap", "there is no such log")
     (tmp_path / "empty").mkdir()
-    check_refused(tmp_path / "empty", r"holds no log: neither \.bag, \.mcap or \.db3 files .* nor images")
+    check_refused(tmp_path / "empty", r"holds no log: neither \.bag, \.mcap or \.db3 files nor images")
     message = r"/log\.mcap cannot be read as a log: /a: jsonschema"
     with pytest.raises(InputError, match=message), explained(tmp_path / "log.mcap", "/a: "):
         raise LookupError("jsonschema")
