@@ -18,7 +18,7 @@ from deepgps.learning.trainer import describe_device, use_threads
 from deepgps.learning.training_data import prepare
 from deepgps.methods.appearance import learn
 from deepgps.methods.deepgps import remove_leftovers
-from deepgps.methods.registration import find_headings
+from deepgps.methods.registration import MAX_LEFT_OUT_SHARE, find_headings
 from deepgps.positioner.positioner import FeaturePositioner, Fitted, Positioner
 from deepgps.positioner.stored_positioner import is_finished, load_positioner, save_positioner
 from deepgps.positioner.without_features import ArrayPositioner
@@ -69,11 +69,13 @@ def learn_appearance(
 ) -> FeaturePositioner:
     """The positioner with what is seen where on its own map; the same where too few segments pass one another.
 
-    Observations that may lie elsewhere are left out, so that those like them are refused.
+    Observations that may lie elsewhere are left out, so that those like them are refused, unless most may.
     """
     data = prepare(recording, settings, seed, folder.parent, positioner.upright)
     places = positioner.locate_camera(recording.observation)
-    places[fill_stretches(training.get("map", {}).get("parts", []), len(places))] = np.nan
+    undecided = fill_stretches(training.get("map", {}).get("parts", []), len(places))
+    if undecided.mean() <= MAX_LEFT_OUT_SHARE:
+        places[undecided] = np.nan
     mapped = read_map(folder)
     std = None if mapped is None else np.nan_to_num(mapped.expected / np.sqrt(2.0))
     try:

@@ -3,6 +3,7 @@
 import os
 import signal
 import sys
+import threading
 import time
 from collections.abc import Sequence
 from multiprocessing import active_children
@@ -10,8 +11,11 @@ from types import FrameType
 
 from sim.processes import END_SIGNALS
 
-PATIENCE_S = 2.0
-"""Time for cleaning up after which a further signal ends the process at once; every file is intact at any time."""
+PATIENCE_S, LIMIT_S = 2.0, 20.0
+"""Times for cleaning up after which a further signal, or none, ends the process at once; every file is intact always.
+
+An exception that is raised in a handler may be lost: a package swallows it, or it comes in a finaliser.
+"""
 RESUMABLE_COMMANDS = ("run", "collect", "train", "evaluate", "study")
 WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated", signal.SIGHUP: "hung up"}
 
@@ -71,6 +75,9 @@ class Stop:
         self.number, self._first_s = number, time.monotonic()
         for worker in active_children():
             worker.kill()  # what they have written is intact, and waiting for the rest may take long
+        last = threading.Timer(LIMIT_S, _leave, (number, frame))
+        last.daemon = True
+        last.start()
         raise Stopped(number)
 
 

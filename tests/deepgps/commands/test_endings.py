@@ -84,6 +84,29 @@ def test_a_signal_to_all_processes_is_one_line_and_leaves_none(
     assert wait_until_gone(process.pid)
 
 
+SWALLOWING = """
+import time
+from deepgps.terminal import signals
+signals.LIMIT_S = 0.5
+signals.leave_at_signals()
+signals.stop_at_signals()
+print("ready", flush=True)
+while True:
+    try:
+        time.sleep(10)
+    except KeyboardInterrupt:
+        pass
+"""
+
+
+def test_a_signal_that_a_package_swallows_ends_the_process_a_little_later() -> None:
+    command = [sys.executable, "-c", SWALLOWING]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None and process.stdout.readline() == "ready\n"
+        process.terminate()
+        assert process.communicate(timeout=30)[1] == "terminated\n" and process.returncode == 143
+
+
 @pytest.mark.slow
 def test_a_signal_to_the_first_process_ends_all_and_counts_the_time(mini: Path, tmp_path: Path) -> None:
     process = start("collect", str(mini), "--drive.samples", "20000", "--out", "run", cwd=tmp_path)
