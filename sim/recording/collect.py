@@ -20,6 +20,7 @@ from sim.errors import DamagedError, InputError, WorkError
 from sim.files.atomic import check_space, list_files, remove_files
 from sim.files.checksums import write_array, write_arrays
 from sim.geometry import save_free_space, spread_headings
+from sim.processes import uninterrupted
 from sim.recording.assemble import (
     CollectedDrive,
     count_drawn,
@@ -151,7 +152,8 @@ def _plan_deployment(job: _Job) -> list[_Job]:
 
 def _record(job: _Job, progress: Report, workers: int | None, build_s: float, start: float) -> None:
     """Make one recording, or complete it; ``start`` is when that began and ``build_s`` how long its room takes [s]."""
-    from sim.recording.scene_mesh import write_scene  # the worker processes, which import this file too, do not need it
+    with uninterrupted():  # trimesh takes any exception for a missing package
+        from sim.recording.scene_mesh import write_scene  # which worker processes, which import this file, do not need
 
     deaths = 0
     count = workers or count_renderers(job.count_images())
