@@ -90,9 +90,9 @@ from deepgps.terminal import signals
 signals.LIMIT_S = 0.5
 signals.leave_at_signals()
 signals.stop_at_signals()
-print("ready", flush=True)
 while True:
     try:
+        print("ready", flush=True)
         time.sleep(10)
     except KeyboardInterrupt:
         pass
