@@ -199,7 +199,7 @@ def test_the_script_of_the_page_on_trust_counts_what_metrics_say(
     finished_run: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (block,) = [block for block in find_blocks(ROOT / "docs" / "trust.md") if block.language == "python"]
-    exec(block.text.replace("runs/first", str(finished_run)).replace('"deepgps"', '"knn"'), {})
+    exec(block.text.replace("runs/first", str(finished_run)), {})
     measured = read_json(finished_run / "metrics.json")["methods"]["knn"]
     share, *radii = map(float, re.findall(r"\d\.\d+", capsys.readouterr().out))
     assert share == pytest.approx(measured["accepted"], abs=0.001)
