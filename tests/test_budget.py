@@ -9,7 +9,7 @@ LIMITS = {
     "files of sim and deepgps": 291,
     "lines of tests": 29_111,
     "Python files directly in deepgps": 2,
-    "words of decisions": 6_262,
+    "words of decisions": 6_270,
     "words of all other pages by hand": 20_238,
     "words of the reference that the code does not say": 3_316,
     "words of published results": 8_000,
