@@ -43,12 +43,7 @@ def drive_chunk(
     if before:
         planner.set_state(before)
     first, driven, dropped, relocated = observations, list[dict[str, np.ndarray]](), 0, 0
-    wanted, until = settings.drive.samples + settings.grid.held_out, settings.drive.until.unseen
-    while (
-        observations - first < CHUNK
-        and observations < wanted
-        and not (until is not None and planner.unseen[0] <= until)
-    ):
+    while observations - first < CHUNK and not _is_done(settings, observations, planner.unseen):
         segment = next_segment(world, settings.drive, rng, mode, planner)
         driven.append(_number(segment, segments, observations))
         observations += len(driven[-1]["state"])
@@ -68,6 +63,19 @@ def drive_chunk(
         "world_state": world.state(),
         "rng_state": np.array(json.dumps(rng.bit_generator.state)),
     }
+
+
+def _is_done(settings: SimSettings, observations: int, unseen: np.ndarray) -> bool:
+    """Whether a drive ends after so many observations, with a share of the floor ``unseen`` as planners tell it."""
+    until = settings.drive.until.unseen
+    return observations >= settings.drive.samples + settings.grid.held_out or (until is not None and unseen[0] <= until)
+
+
+def count_wanted(settings: SimSettings, chunk: dict[str, np.ndarray]) -> tuple[int, int]:
+    """Observations driven up to the end of a chunk, at most those that are wanted in all, and these."""
+    driven, wanted = int(chunk["observations"]), settings.drive.samples + settings.grid.held_out
+    done = _is_done(settings, driven, chunk.get("unseen", np.ones(1)))
+    return min(driven, wanted), min(driven, wanted) if done else wanted
 
 
 def _number(segment: Segment, number: int, observations: int) -> dict[str, np.ndarray]:

@@ -32,7 +32,7 @@ from sim.recording.assemble import (
     write_tag_labels,
     write_tests,
 )
-from sim.recording.chunks import CHUNK, drive_chunk, part_files, sense_part
+from sim.recording.chunks import CHUNK, count_wanted, drive_chunk, part_files, sense_part
 from sim.recording.derive import link_training
 from sim.recording.format import (
     OWN_PATH,
@@ -232,8 +232,8 @@ def _drive(job: _Job, give: Callable[[Part], None], progress: Report) -> Collect
     world, settings, work = job.world, job.world.settings, job.work
     rng, chance = stream(job.seed, "drive"), spawn_streams(job.seed)
     drive, chunk = CollectedDrive([], [], []), None
-    driven, wanted, done = 0, settings.drive.samples + settings.grid.held_out, False
-    while driven < wanted and not done:
+    driven, wanted = 0, 1
+    while driven < wanted:
         path, images, turns = chunk_files(work, len(drive.chunks))
         before, chunk = chunk, read_if_whole(path)
         if chunk is None:
@@ -247,9 +247,8 @@ def _drive(job: _Job, give: Callable[[Part], None], progress: Report) -> Collect
         if settings.drive.turn_images and len(turned := chunk["turn_state"]):
             drive.turns.append(turns)
             give(Part(lit, turned, turns, draw_leans(settings.camera_mount, len(turned), chance.turn_lean)))
-        driven = int(chunk["observations"])
-        done = settings.drive.until.unseen is not None and chunk["unseen"][0] <= settings.drive.until.unseen
-        progress("drive", driven if done else min(driven, wanted), driven if done else wanted)
+        driven, wanted = count_wanted(settings, chunk)
+        progress("drive", driven, wanted)
     return drive
 
 

@@ -12,7 +12,7 @@ import cv2
 import mujoco
 import numpy as np
 
-from sim.recording.chunks import drive_chunk
+from sim.recording.chunks import count_wanted, drive_chunk
 from sim.recording.format import Report
 from sim.rng import stream
 from sim.robot.world import RoomWorld
@@ -84,15 +84,15 @@ def trace_drive(world: TracedWorld, seed: int, progress: Report) -> tuple[Trace,
     Returns also the wheel angles (r, 2) [rad] at the recording's readings.
     """
     settings, rng = world.settings, stream(seed, "drive")
-    wanted, driven = settings.drive.samples + settings.grid.held_out, 0
+    driven, wanted = 0, 1
     chunk, steps, angle = None, list[np.ndarray](), list[np.ndarray]()
     while driven < wanted:
         chunk = drive_chunk(world, settings, rng, chunk)
         steps.append(np.array(world.kept))
         world.kept.clear()
         angle.append(chunk["wheel_angle"])
-        driven = int(chunk["observations"])
-        progress("log drive", min(driven, wanted), wanted)
+        driven, wanted = count_wanted(settings, chunk)
+        progress("log drive", driven, wanted)
     step = np.concatenate(steps)
     return Trace(step[:, -1], step[:, :-1]), np.concatenate(angle)
 

@@ -54,6 +54,15 @@ def test_tracing_changes_no_bit_of_the_drive_and_keeps_every_step(drive):
     np.testing.assert_allclose(np.diff(found.time), 0.005, atol=1e-9)
 
 
+def test_a_drive_that_is_done_early_is_traced_to_its_end():
+    until = {"headings": "map", "samples": 5000, "until": {"unseen": 0.5}}
+    settings = SimSettings.model_validate({"drive": until})
+    _, found, wheel_angle = trace(settings)
+    chunk = drive_chunk(RoomWorld(settings, furnished()), settings, stream(0, "drive"), None)
+    assert chunk["unseen"][0] <= 0.5 and len(found.time) > len(wheel_angle)
+    np.testing.assert_array_equal(wheel_angle, chunk["wheel_angle"])
+
+
 @pytest.mark.parametrize("clock", [RECORDER, BASE])
 def test_everything_is_read_at_its_rate_from_the_beginning_to_the_end(drive, clock):
     _, found, _ = drive
