@@ -85,7 +85,7 @@ def test_counters_that_wrap_are_unwrapped(full: float, stride: int, rest_s: floa
     assert not wrapped.broken.any()
 
 
-@pytest.mark.parametrize("ticks", [9000, 12345])
+@pytest.mark.parametrize("ticks", [2000, 9000, 12345])
 def test_a_counter_that_always_restarts_at_one_count_is_unwrapped(ticks: int) -> None:
     """From 0 to its range, or as some drivers do from 0 to its range in both directions."""
     wheels = sample((2.0,) * 6)
