@@ -124,8 +124,8 @@ def test_files_that_are_something_else_are_named(tmp_path: Path) -> None:
     for data, message in (
         (b"version https://git-lfs.github.com/spec/v1\noid sha256:1\n", r"is a Git LFS pointer \(git lfs pull\)"),
         (b"\n<!DOCTYPE html>\n<html>", "is a web page in place of the file"),
-        (b"no log at all, but long enough to be one of some kind", "cannot be read as a log|It has no whole chunk"),
-        (b"SQLite format 3\0" + b"\1" * 200, "cannot be read as a log|It has no whole chunk"),
+        (b"no log at all, but long enough to be one of some kind", "cannot be read as a log|it has no whole chunk"),
+        (b"SQLite format 3\0" + b"\1" * 200, "cannot be read as a log|it has no whole chunk"),
     ):
         for suffix in (".bag", ".mcap", ".db3"):
             file = tmp_path / f"a{suffix}"
