@@ -1,7 +1,6 @@
 """The wheels' angles and the poses in a log: joint states, the path of an odometry, motion capture."""
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -102,7 +101,7 @@ class JointLog(Heard):
     def __init__(self, config: WheelConfig) -> None:
         super().__init__(config.topic)
         self.config = config
-        self._names = set[str]()  # Of all joints in messages with positions
+        self._names = set[str]()  # Of all joints with positions
 
     @property
     def angle(self) -> np.ndarray:
@@ -113,14 +112,10 @@ class JointLog(Heard):
     def read(self, sample: Sample) -> tuple[float, ...] | None:
         """The positions of both wheels in a message, NaN where it lacks one; None: it holds neither."""
         message = sample.decode()
-        self._names.update(
-            name for name, one in zip(message.name, message.position, strict=False) if math.isfinite(one)
-        )
-        places = [find_joint(message.name, name, self.topic) for name in (self.config.left, self.config.right)]
-        found = [float(message.position[place]) if place < len(message.position) else math.nan for place in places]
-        return (
-            tuple(one if math.isfinite(one) else math.nan for one in found) if any(map(math.isfinite, found)) else None
-        )
+        angle = {name: one for name, one in zip(message.name, message.position, strict=False) if math.isfinite(one)}
+        self._names.update(angle)
+        found = tuple(float(angle.get(name, math.nan)) for name in (self.config.left, self.config.right))
+        return None if all(map(math.isnan, found)) else found
 
     def check(self) -> None:
         """Raise InputError unless there are positions of both wheels."""
@@ -138,19 +133,6 @@ class JointLog(Heard):
             raise InputError(
                 f"{self.topic}: the joint {quote(names[int(turns[0])])} never turns, and the other one does"
             )
-
-
-def find_joint(names: Sequence[str], wanted: str, topic: str) -> int:
-    """Index of a joint by its name or the end of its name after a prefix such as ``tb3_0/``; beyond the last: none.
-    Raises InputError if two joints of the topic have such names."""
-    same = [index for index, name in enumerate(names) if name == wanted]
-    like = same or [index for index, name in enumerate(names) if name.endswith((f"/{wanted}", f".{wanted}"))]
-    if len(like) > 1:
-        raise InputError(
-            f"{topic}: {wanted}: several joints have this name, {', '.join(names[index] for index in like)}; give the "
-            "complete name in wheels.left and wheels.right"
-        )
-    return like[0] if like else len(names)
 
 
 def open_wheels(log: Log, config: WheelConfig) -> JointLog | OdometryLog:
