@@ -82,13 +82,11 @@ class OdometryLog(PoseLog):
         notes = [f"{self.topic}: wheels are computed from the odometry, so they cannot be diagnosed"]
         step, _ = self.follow()
         aside_m = np.abs(step.imag)
-        if aside_m.sum() > MAX_SIDEWAYS_SHARE * np.abs(step).sum():
-            notes.append(f"{self.topic}: the odometry goes sideways, as no wheels can: is its orientation right?")
-        elif (jumps := aside_m > np.maximum(MAX_ASIDE_M, np.abs(step.real) / 2)).any():
-            most = f"{jumps.sum()} times, by up to {100 * aside_m.max():.1f} cm"
-            notes.append(
-                f"{self.topic}: the odometry jumps aside {most}: is it corrected by other sensors? Give the wheels' own"
-            )
+        jumps = aside_m > np.maximum(MAX_ASIDE_M, np.abs(step.real) / 2)
+        if jumps.any() or aside_m.sum() > MAX_SIDEWAYS_SHARE * np.abs(step).sum():
+            how = f"{jumps.sum()} times, by up to {100 * aside_m.max():.1f} cm, as no wheels can"
+            why = "is its orientation right, or is it corrected by other sensors?"
+            notes.append(f"{self.topic}: the odometry jumps aside {how}: {why}")
         return [*super().list_notes(), *notes]
 
 
