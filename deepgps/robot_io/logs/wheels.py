@@ -181,7 +181,7 @@ def _find_range(step: np.ndarray, tick: float) -> float | None:
         return None
     around = (step[rows - 1, wheel] + step[rows + 1, wheel]) / 2
     jump = step[rows, wheel] - around
-    if (jump * around >= 0).any() or np.ptp(np.abs(jump)) > REST_RAD + top.max() / 2:
+    if (jump * around >= 0).any() or np.ptp(np.abs(jump)) > REST_RAD + top.max() / 4:
         return None
     return float(np.rint(np.abs(jump).mean() / tick) * tick)
 

@@ -98,6 +98,15 @@ def test_a_counter_that_always_restarts_at_one_count_is_unwrapped(ticks: int) ->
         assert abs(int(note.split(" after ")[1].split()[0]) - ticks) < 0.005 * ticks
 
 
+def test_a_counter_that_loses_counts_as_it_restarts_has_no_range() -> None:
+    """It is set to 0 when it is read beyond 20,000 ticks."""
+    wheels, count = sample((2.0,) * 6), np.zeros(2)
+    steps = np.diff(wheels.angle, axis=0, prepend=wheels.angle[:1])
+    counted = np.array([count := np.where(np.abs(count + step) >= 20_000 * TICK, 0.0, count + step) for step in steps])
+    (note,) = clean_wheels(wheels.time_s, counted, 4096, "/joint_states").notes
+    assert "the counter restarted, so the way between is unknown" in note
+
+
 def test_wheels_at_rest_may_differ_by_the_rounding_of_floats() -> None:
     time_s = PERIOD_S * np.arange(100)
     angle = 1e-12 * np.random.default_rng(0).standard_normal((100, 2))
