@@ -5,9 +5,9 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "lines of sim and deepgps": 42_107,
+    "lines of sim and deepgps": 42_148,
     "files of sim and deepgps": 291,
-    "lines of tests": 29_231,
+    "lines of tests": 29_244,
     "Python files directly in deepgps": 2,
     "words of decisions": 6_307,
     "words of all other pages by hand": 20_331,
