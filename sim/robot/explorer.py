@@ -30,6 +30,7 @@ LEAST_PASSED_SHARE = 0.1  # Share of the floor that counts as passed by the fewe
 SWATH_CELLS = round(2 * SWATH_M / FLOOR_CELL_M)
 MOST_FAILED = 3  # After so many segments in a row without an image, any heading may be taken
 MOST_AIMS, AIMS = 5, 60  # A goal that more than so many of the last aims were at is left alone
+RIM_CELLS = 1, 4  # Floor this near to what was passed is likely seen, and surely not unseen
 SMALLEST_PART_M2 = 0.05  # Smaller parts of the floor are not reported [m2]
 
 
@@ -42,7 +43,7 @@ class Explorer:
         self._body, self._angle = robot.body, robot.wheel_angle()
         self._pose, self._grid, self._next_scan_m = np.zeros(3), GridMap(), 0.0
         self._failed, self._doubtful, self._aims = 0, False, np.empty((0, 2))
-        self.unseen = np.ones(2)  # Share of the floor that no image is near: likely, and at most
+        self.unseen = np.ones(3)  # Share of the floor that no image is near: likely, at least, and at most
 
     def choose(self, robot: Robot, settings: DriveSettings, rng: np.random.Generator, mode: DriveMode) -> Course:
         """Where the next segment goes: along the best heading with enough that is clear by the rays."""
@@ -104,7 +105,7 @@ class Explorer:
         """Arrays from which ``set_state`` restores everything."""
         own, grid = {"angle": self._angle, "pose": self._pose, "aims": self._aims}, self._grid
         own |= {"failed": np.array((self._failed, self._doubtful)), "box": np.stack([grid.low, grid.high])}
-        own |= {"seen": grid.seen[grid.box], "passes": grid.passes[grid.box]}
+        own |= {"seen": grid.seen[grid.box], "passes": grid.passes[grid.box], "been": grid.been[grid.box]}
         return {f"map_{name}": part for name, part in own.items()} | {
             "unreached": self.unreached(),
             "unseen": self.unseen,
@@ -114,7 +115,8 @@ class Explorer:
         """Restore the arrays of ``state``; others are not read."""
         grid = self._grid
         grid.low, grid.high = state["map_box"]
-        grid.seen[grid.box], grid.passes[grid.box] = state["map_seen"], state["map_passes"]
+        for name in ("seen", "passes", "been"):
+            getattr(grid, name)[grid.box] = state[f"map_{name}"]
         self._angle, self._pose, self._aims = (state[f"map_{name}"] for name in ("angle", "pose", "aims"))
         self._failed, self._doubtful = state["map_failed"].tolist()
         self.unseen = state["unseen"]
@@ -125,18 +127,17 @@ class Explorer:
         self._grid.add(self._pose, seen)
 
     def measure_unseen(self, floor: Floor | None = None) -> np.ndarray:
-        """Share of the floor that no image is near: likely, and at most (2,).
+        """Share of the floor that no image is near: likely, at least, and at most (3,).
 
-        Rims beside what was passed, and floor that was aimed at in vain, count only in the second.
+        Rims beside what was passed, and floor that was aimed at in vain, count only in the last, as does floor behind
+        what was touched: it is cut off by things that rays do not meet, or by what was touched beside an opening.
         """
         floor = floor or self._grid.read_floor(self._body.radius_m)
-        parts = cv2.connectedComponents(floor.fits.astype(np.uint8), connectivity=4)[1]
-        passed = floor.passes > 0
-        own = floor.fits & np.isin(parts, parts[floor.fits & passed]) if passed.any() else floor.fits
-        new, size = own & ~passed, max(own.sum(), 1)
-        beside = cv2.dilate(passed.astype(np.uint8), CROSS) > 0
-        likely = (new & ~beside & ~self._is_left_alone(floor)).sum() / size
-        return np.array((likely, new.sum() / size))
+        own, passed = _find_reached(floor.fits, floor.been), floor.passes > 0
+        new, every = own & ~passed & ~self._is_left_alone(floor), _find_reached(floor.open, floor.been) | own
+        near = [cv2.dilate(passed.astype(np.uint8), CROSS, iterations=cells) > 0 for cells in RIM_CELLS]
+        counts = *((new & ~rim).sum() / max(own.sum(), 1) for rim in near), (every & ~passed).sum() / max(every.sum(), 1)
+        return np.array(counts)
 
     def _list_goals(self, floor: Floor) -> Iterator[np.ndarray]:
         """Masks of goals, the next if the robot finds no way to those before."""
@@ -179,6 +180,12 @@ def make_planner(robot: Robot, settings: DriveSettings) -> Planner:
     """The planner that the settings name, for a robot where it starts."""
     planner = {"map": Explorer, "frontier": NearestFrontier}.get(settings.headings)
     return planner(robot) if planner else Visits(robot.body, robot.wheel_angle())
+
+
+def _find_reached(floor: np.ndarray, been: np.ndarray) -> np.ndarray:
+    """The parts of the floor, a mask of cells, in which the robot was, a mask, too; all before it was anywhere."""
+    parts = cv2.connectedComponents(floor.astype(np.uint8), connectivity=4)[1]
+    return floor & np.isin(parts, parts[floor & been]) if been.any() else floor
 
 
 def _count_near(marks: np.ndarray) -> np.ndarray:

@@ -15,8 +15,9 @@ CELL_M, CELLS = 0.025, 2560  # Side of a cell [m], and cells along each side of 
 LOOKS = 9  # Headings at which the fans look along for a scan all around
 MARGIN_M = 0.04  # Floor this near to what a ray met is not marked as free [m]
 ERASING_RADIUS_M = 1.0  # Nearer than this, hardly an obstacle fits between two rays of a scan [m]
-MEETING, MOST_MEETINGS, CONTACT = 3, 9, 30
-"""What was met once, often, or touched is forgotten after so many scans from nearby that do not meet it."""
+MEETING, MOST_MEETINGS, CONTACT = 3, 9, 120
+"""What was met once, often, or touched is forgotten after so many scans from nearby that do not meet it: rays pass
+below and above what a robot touches, as the shelf of a bench."""
 CONTACT_RAD = 0.6  # What was touched is within this angle of straight ahead [rad]
 SWATH_M = 0.225  # Floor this near to a segment is within 0.25 m of an image [m]
 DRAWN_BITS = 6  # OpenCV draws to this fraction of a cell
@@ -57,6 +58,8 @@ class Floor(NamedTuple):
 
     corner_m: np.ndarray  # Where the first cell begins (2,) [m]
     fits: np.ndarray  # Whether the robot's middle fits there
+    open: np.ndarray  # The same by rays alone, whatever was touched
+    been: np.ndarray  # Whether the robot was there
     edge: np.ndarray  # Whether the cell or one beside it is not known
     passes: np.ndarray  # By how many segments it was passed
 
@@ -89,6 +92,7 @@ class GridMap:
     def __init__(self) -> None:
         # Positive where something stands, -1 where nothing does, 0 where no ray was; how many segments passed
         self.seen, self.passes = np.zeros((CELLS, CELLS), np.int8), np.zeros((CELLS, CELLS), np.uint16)
+        self.been = np.zeros((CELLS, CELLS), bool)  # Where the robot was
         # What is in use, from one column and row to before another, in even numbers
         self.low, self.high = np.full(2, CELLS // 2), np.full(2, CELLS // 2 + 2)
 
@@ -126,17 +130,20 @@ class GridMap:
         mask = np.zeros(self.passes[box].shape, np.uint8)
         first, last = _draw(np.stack([start, end]), box).tolist()
         self.passes[box] += cv2.line(mask, first, last, 1, round(2 * SWATH_M / CELL_M), shift=DRAWN_BITS)
+        self.been[box] |= cv2.line(np.zeros_like(mask), first, last, 1, 1, shift=DRAWN_BITS) > 0
 
     def read_floor(self, radius_m: float) -> Floor:
         """The floor for a robot of a radius [m]."""
-        seen = self.seen[self.box]
-        away = cv2.distanceTransform((seen <= 0).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
-        fits = (seen < 0) & (away * CELL_M > radius_m - TOLERANCE_M)
-        fits, unknown = (
-            cells[::2, ::2] | cells[1::2, ::2] | cells[::2, 1::2] | cells[1::2, 1::2] for cells in (fits, seen == 0)
+        seen, known = self.seen[self.box], []
+        for obstacle in (seen > 0, (seen > 0) & (seen <= MOST_MEETINGS)):
+            away = cv2.distanceTransform((~obstacle).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
+            known.append((seen != 0) & ~obstacle & (away * CELL_M > radius_m - TOLERANCE_M))
+        fits, by_rays, been, unknown = (
+            cells[::2, ::2] | cells[1::2, ::2] | cells[::2, 1::2] | cells[1::2, 1::2]
+            for cells in (*known, self.been[self.box], seen == 0)
         )
         edge = cv2.dilate(unknown.astype(np.uint8), SQUARE) > 0
-        return Floor(self.corner_m, fits, edge, self.passes[self.box][::2, ::2])
+        return Floor(self.corner_m, fits, by_rays, been, edge, self.passes[self.box][::2, ::2])
 
     def _use(self, low_m: np.ndarray, high_m: np.ndarray) -> tuple[slice, slice]:
         """Rows and columns between two corners (2,) [m], and a few more, which are in use from now on."""
