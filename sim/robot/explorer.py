@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from sim.geometry import wrap
-from sim.robot.grid_map import CROSS, FLOOR_CELL_M, SWATH_M, Floor, GridMap, go, scan
+from sim.robot.grid_map import CROSS, FLOOR_CELL_M, SWATH_M, Floor, GridMap, find_reached, go, scan
 from sim.robot.headings import START_COST_M, STOP_DISTANCE_M, Course, DriveMode, Planner, Visits
 from sim.robot.model import wheel_motion
 from sim.robot.motion import Robot, look
@@ -105,7 +105,7 @@ class Explorer:
         """Arrays from which ``set_state`` restores everything."""
         own, grid = {"angle": self._angle, "pose": self._pose, "aims": self._aims}, self._grid
         own |= {"failed": np.array((self._failed, self._doubtful)), "box": np.stack([grid.low, grid.high])}
-        own |= {"seen": grid.seen[grid.box], "passes": grid.passes[grid.box], "been": grid.been[grid.box]}
+        own |= {"seen": grid.seen[grid.box], "passes": grid.passes[grid.box], "felt": grid.felt[grid.box]}
         return {f"map_{name}": part for name, part in own.items()} | {
             "unreached": self.unreached(),
             "unseen": self.unseen,
@@ -115,7 +115,7 @@ class Explorer:
         """Restore the arrays of ``state``; others are not read."""
         grid = self._grid
         grid.low, grid.high = state["map_box"]
-        for name in ("seen", "passes", "been"):
+        for name in ("seen", "passes", "felt"):
             getattr(grid, name)[grid.box] = state[f"map_{name}"]
         self._angle, self._pose, self._aims = (state[f"map_{name}"] for name in ("angle", "pose", "aims"))
         self._failed, self._doubtful = state["map_failed"].tolist()
@@ -129,15 +129,16 @@ class Explorer:
     def measure_unseen(self, floor: Floor | None = None) -> np.ndarray:
         """Share of the floor that no image is near: likely, at least, and at most (3,).
 
-        Rims beside what was passed, and floor that was aimed at in vain, count only in the last, as does floor behind
-        what was touched: it is cut off by things that rays do not meet, or by what was touched beside an opening.
+        Rims beside what was passed, and floor that was aimed at in vain, count only in the last, as does floor that is
+        cut off by a front of touches.
         """
         floor = floor or self._grid.read_floor(self._body.radius_m)
-        own, passed = _find_reached(floor.fits, floor.been), floor.passes > 0
-        new, every = own & ~passed & ~self._is_left_alone(floor), _find_reached(floor.open, floor.been) | own
+        own, every = (find_reached(part, floor.been) for part in (floor.open & ~floor.shut, floor.open))
+        passed = floor.passes > 0
+        new = own & ~passed & ~self._is_left_alone(floor)
         near = [cv2.dilate(passed.astype(np.uint8), CROSS, iterations=cells) > 0 for cells in RIM_CELLS]
-        counts = *((new & ~rim).sum() / max(own.sum(), 1) for rim in near), (every & ~passed).sum() / max(every.sum(), 1)
-        return np.array(counts)
+        likely, least = ((new & ~rim).sum() / max(own.sum(), 1) for rim in near)
+        return np.array((likely, least, (every & ~passed).sum() / max(every.sum(), 1)))
 
     def _list_goals(self, floor: Floor) -> Iterator[np.ndarray]:
         """Masks of goals, the next if the robot finds no way to those before."""
@@ -180,12 +181,6 @@ def make_planner(robot: Robot, settings: DriveSettings) -> Planner:
     """The planner that the settings name, for a robot where it starts."""
     planner = {"map": Explorer, "frontier": NearestFrontier}.get(settings.headings)
     return planner(robot) if planner else Visits(robot.body, robot.wheel_angle())
-
-
-def _find_reached(floor: np.ndarray, been: np.ndarray) -> np.ndarray:
-    """The parts of the floor, a mask of cells, in which the robot was, a mask, too; all before it was anywhere."""
-    parts = cv2.connectedComponents(floor.astype(np.uint8), connectivity=4)[1]
-    return floor & np.isin(parts, parts[floor & been]) if been.any() else floor
 
 
 def _count_near(marks: np.ndarray) -> np.ndarray:

@@ -17,8 +17,8 @@ EXPLORE_NOTE = (
 )
 HOMES_NOTE = (
     f"{GRID}Entered: rooms, the hall included, in which an image is within half a metre of the middle of their largest "
-    "free floor. Doors: median at test positions within 0.6 m of one. Off: share of the training images that are placed "
-    "more than 0.5 m from the truth; a map is wrong from 10 %. Radius: what the run says of itself."
+    "free floor. Doors: median at test positions within 0.6 m of one. Off: share of the training images that are "
+    "placed more than 0.5 m from the truth; a map is wrong from 10 %. Radius: what the run says of itself."
 )
 
 
@@ -75,7 +75,7 @@ REPORTS = {
         targets=(
             Target("images_ratio", "images, map / explore, median room", "over_explore:median", {HEADINGS: "map"}),
             Target("apart", "unseen, said and true, mean difference", "apart", {"done": True}, unit="%"),
-            Target("holds", "true share within what was said, of {count}", "holds:share", {"done": True}, at_least=True),
+            Target("holds", "true share within what was said, {count}", "holds:share", {"done": True}, at_least=True),
         ),
         pictures={"explore": _PROMISES},
         columns="from_runs:add_explored",
