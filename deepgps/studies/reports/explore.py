@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from deepgps.studies.reports.maps import judge_maps
+from deepgps.studies.reports.maps import FAR_SHARE
 from deepgps.studies.reports.record import GRID, VARIED_SETTINGS, Scatter, StudyReport, Table, Target
 from deepgps.studies.table import Point, Row
 
@@ -42,6 +42,11 @@ def compare_with_explore(rows: Sequence[Row], varied: Sequence[str]) -> list[Row
     return compared
 
 
+def judge_homes(rows: Sequence[Row], varied: Sequence[str]) -> list[Row]:
+    """Rows with whether the map of a home is wrong."""
+    return [{**row, "wrong": row["misplaced"] > FAR_SHARE} for row in rows]
+
+
 _PLANNERS = Table(
     HEADINGS,
     "runs images_needed:median images_needed:max reached over_explore:median over_explore:min over_explore:max",
@@ -65,7 +70,7 @@ _PROMISES = Scatter(
 )
 _HOMES = Table(
     VARIED_SETTINGS,
-    "distance_m rooms entered seen rms_m median_m door_median_m rms_accepted_m accepted misplaced said left_out_m",
+    "distance_m rooms entered seen rms_m median_m door_median_m rms_accepted_m accepted misplaced wrong left_out_m",
 )
 REPORTS = {
     "explore": StudyReport(
@@ -85,7 +90,7 @@ REPORTS = {
     "homes": StudyReport(
         (_HOMES,),
         HOMES_NOTE,
-        judge_maps,
+        judge_homes,
         targets=(
             Target("missed", "flats with a room not entered, of {count}", "missed:count"),
             Target("median_m", "median error, median flat", "median_m:median"),
