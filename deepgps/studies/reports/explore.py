@@ -23,9 +23,14 @@ HOMES_NOTE = (
 
 
 def draw_runs(common: Mapping[str, Any], drives: Sequence[tuple[int, Point]]) -> list[tuple[int, Point]]:
-    """All drives in rooms, and one more by map in each room and flat, which ends when it is done."""
-    done = [(seed, {**drive, UNTIL: DONE_SHARE}) for seed, drive in drives if drive[HEADINGS] == "map"]
-    return [(seed, drive) for seed, drive in drives if drive[KIND] != "flat"] + done
+    """All drives in rooms, and after each by map, in flats in its place, one that ends when it is done."""
+    runs = []
+    for seed, drive in drives:
+        if drive[KIND] != "flat":
+            runs.append((seed, drive))
+        if drive[HEADINGS] == "map":
+            runs.append((seed, {**drive, UNTIL: DONE_SHARE}))
+    return runs
 
 
 def compare_with_explore(rows: Sequence[Row], varied: Sequence[str]) -> list[Row]:
