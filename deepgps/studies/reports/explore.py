@@ -23,12 +23,13 @@ HOMES_NOTE = (
 
 
 def draw_runs(common: Mapping[str, Any], drives: Sequence[tuple[int, Point]]) -> list[tuple[int, Point]]:
-    """All drives in rooms, and after each by map, in flats in its place, one that ends when it is done."""
+    """All drives, and after each by map one that ends when it is done; where all drives end so, those by map alone."""
     runs = []
     for seed, drive in drives:
-        if drive[KIND] != "flat":
+        is_by_map, is_done = drive[HEADINGS] == "map", UNTIL in drive
+        if is_by_map or not is_done:
             runs.append((seed, drive))
-        if drive[HEADINGS] == "map":
+        if is_by_map and not is_done:
             runs.append((seed, {**drive, UNTIL: DONE_SHARE}))
     return runs
 

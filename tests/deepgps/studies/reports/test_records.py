@@ -431,9 +431,9 @@ def test_images_are_compared_in_one_room_and_what_was_said_with_the_truth():
     assert rows[-1]["apart"] == pytest.approx(0.002)
 
 
-def test_each_room_is_driven_by_all_planners_and_each_room_and_flat_until_it_is_done():
-    drives = [(0, {HEADINGS: name, KIND: kind}) for kind in ("office", "flat") for name in ("map", "explore")]
-    runs = explore.draw_runs({}, drives)
-    assert [run for run in runs if UNTIL not in run[1]] == drives[:2]
-    assert [run[1][KIND] for run in runs if run[1].get(UNTIL)] == ["office", "flat"]
-    assert all(run[1][HEADINGS] == "map" for run in runs if UNTIL in run[1])
+def test_rooms_are_driven_by_all_planners_and_by_map_until_it_is_done():
+    compared = [(0, {HEADINGS: name, KIND: "office"}) for name in ("map", "explore")]
+    done = [(0, {HEADINGS: name, KIND: "flat", UNTIL: 0.005}) for name in ("map", "explore")]
+    by_map, by_explore = compared
+    also = (0, {**by_map[1], UNTIL: explore.DONE_SHARE})
+    assert explore.draw_runs({}, [*compared, *done]) == [by_map, also, by_explore, done[0]]
