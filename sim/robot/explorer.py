@@ -42,6 +42,7 @@ class Explorer:
     def __init__(self, robot: Robot) -> None:
         self._body, self._angle = robot.body, robot.wheel_angle()
         self._pose, self._grid, self._next_scan_m = np.zeros(3), GridMap(), 0.0
+        self._imaged = self._pose  # Where the last image was taken
         self._failed, self._doubtful, self._aims = 0, False, np.empty((0, 2))
         self.unseen = np.ones(3)  # Share of the floor that no image is near: likely, at least, and at most
 
@@ -83,7 +84,8 @@ class Explorer:
         """Follow the robot along a segment to the wheel angles (2,), with images at others (m, 2) [rad]."""
         if len(images) > 1:
             length_m, _ = wheel_motion(images[-1] - images[0], self._body)
-            self._grid.pass_over(self._pose[:2], go(self._pose, 0.0, length_m))
+            self._imaged = np.array((*go(self._pose, 0.0, length_m), self._pose[2]))
+            self._grid.pass_over(self._pose[:2], self._imaged[:2])
         self.move(wheel_angle)
         if touched:
             self._grid.touch(self._pose, self._body.radius_m)
@@ -109,6 +111,7 @@ class Explorer:
         return {f"map_{name}": part for name, part in own.items()} | {
             "unreached": self.unreached(),
             "unseen": self.unseen,
+            **self._draw(),
         }
 
     def set_state(self, state: dict[str, np.ndarray]) -> None:
@@ -119,12 +122,20 @@ class Explorer:
             getattr(grid, name)[grid.box] = state[f"map_{name}"]
         self._angle, self._pose, self._aims = (state[f"map_{name}"] for name in ("angle", "pose", "aims"))
         self._failed, self._doubtful = state["map_failed"].tolist()
-        self.unseen = state["unseen"]
+        self.unseen, self._imaged = state["unseen"], state["view_pose"]
 
     def _scan(self, robot: Robot) -> None:
         seen = scan(robot)
         self._pose = match(self._grid, self._pose, seen, self._doubtful)
         self._grid.add(self._pose, seen)
+
+    def _draw(self) -> dict[str, np.ndarray]:
+        """The map for people: cells that were passed 1, not yet 2, beside what is not known 3, where things stand 4."""
+        floor, grid = self._grid.read_floor(self._body.radius_m), self._grid
+        code = np.where(floor.passes > 0, 1, np.where(floor.edge, 3, 2))
+        view = np.where(floor.fits, code, np.where(grid.seen[grid.box][::2, ::2] > 0, 4, 0))
+        at = np.array((*floor.corner_m, FLOOR_CELL_M))
+        return {"view": view.astype(np.uint8), "view_at": at, "view_pose": self._imaged}
 
     def measure_unseen(self, floor: Floor | None = None) -> np.ndarray:
         """Share of the floor that no image is near: likely, at least, and at most (3,).
