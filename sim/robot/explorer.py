@@ -95,9 +95,9 @@ class Explorer:
         """The robot was carried to its start, where its rays tell how it stands."""
         self._pose = np.zeros(3)
 
-    def unreached(self) -> np.ndarray:
+    def unreached(self, floor: Floor | None = None) -> np.ndarray:
         """Floor that the robot saw and where it fits, but did not get to: places and areas (n, 3) [m, m, m2]."""
-        floor = self._grid.read_floor(self._body.radius_m)
+        floor = floor or self._grid.read_floor(self._body.radius_m)
         stats, middle = cv2.connectedComponentsWithStats((floor.fits & (floor.passes == 0)).astype(np.uint8))[2:]
         area = stats[:, cv2.CC_STAT_AREA, None] * FLOOR_CELL_M**2
         parts = np.hstack([floor.corner_m + (middle + 0.5) * FLOOR_CELL_M, area])[1:]
@@ -109,9 +109,9 @@ class Explorer:
         own |= {"failed": np.array((self._failed, self._doubtful)), "box": np.stack([grid.low, grid.high])}
         own |= {"seen": grid.seen[grid.box], "passes": grid.passes[grid.box], "felt": grid.felt[grid.box]}
         return {f"map_{name}": part for name, part in own.items()} | {
-            "unreached": self.unreached(),
+            "unreached": self.unreached(floor := grid.read_floor(self._body.radius_m)),
             "unseen": self.unseen,
-            **self._draw(),
+            **self._draw(floor),
         }
 
     def set_state(self, state: dict[str, np.ndarray]) -> None:
@@ -129,11 +129,10 @@ class Explorer:
         self._pose = match(self._grid, self._pose, seen, self._doubtful)
         self._grid.add(self._pose, seen)
 
-    def _draw(self) -> dict[str, np.ndarray]:
+    def _draw(self, floor: Floor) -> dict[str, np.ndarray]:
         """The map for people: cells that were passed 1, not yet 2, beside what is not known 3, where things stand 4."""
-        floor, grid = self._grid.read_floor(self._body.radius_m), self._grid
         code = np.where(floor.passes > 0, 1, np.where(floor.edge, 3, 2))
-        view = np.where(floor.fits, code, np.where(grid.seen[grid.box][::2, ::2] > 0, 4, 0))
+        view = np.where(floor.fits, code, np.where(self._grid.seen[self._grid.box][::2, ::2] > 0, 4, 0))
         at = np.array((*floor.corner_m, FLOOR_CELL_M))
         return {"view": view.astype(np.uint8), "view_at": at, "view_pose": self._imaged}
 

@@ -143,12 +143,13 @@ class GridMap:
             away = cv2.distanceTransform((~obstacle).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
             return _halve((seen != 0) & ~obstacle & (away * CELL_M > radius_m - TOLERANCE_M))
 
-        met = (seen > 0) & (seen <= MOST_MEETINGS)
+        touched, met = felt > 0, (seen > 0) & (seen <= MOST_MEETINGS)
         by_rays, been = fit(met), _halve(felt < 0)
-        shut = by_rays & ~_open_doors(by_rays, fit(met | (felt > 0)), been)
+        shut = by_rays & ~_open_doors(by_rays, fit(met | touched), been) if touched.any() else by_rays & False
+        fits = fit(seen > 0) & ~shut if (seen > MOST_MEETINGS).any() else by_rays & ~shut
         edge = cv2.dilate(_halve(seen == 0).astype(np.uint8), SQUARE) > 0
         passes = self.passes[self.box][::2, ::2]
-        return Floor(self.corner_m, fit(seen > 0) & ~shut, by_rays, shut, been, edge, passes)
+        return Floor(self.corner_m, fits, by_rays, shut, been, edge, passes)
 
     def _use(self, low_m: np.ndarray, high_m: np.ndarray) -> tuple[slice, slice]:
         """Rows and columns between two corners (2,) [m], and a few more, which are in use from now on."""
