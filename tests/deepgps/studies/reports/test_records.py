@@ -422,7 +422,7 @@ def test_images_are_compared_in_one_room_and_what_was_said_with_the_truth():
     said = {"unseen": 0.004, "unseen_low": 0.001, "unseen_high": 0.01, "unseen_true": 0.006}
 
     def drive(headings: str, room: int, images: int, until: float | None = None) -> Row:
-        return make_row(1.0, **{HEADINGS: headings, SEED: room, UNTIL: until}, images_needed=images, **said)
+        return make_row(1.0) | {HEADINGS: headings, SEED: room, UNTIL: until, "images_needed": images, **said}
 
     rooms = [drive(name, room, room * count) for room in (1, 2) for name, count in (("map", 300), ("explore", 600))]
     rows = compare_with_explore([*rooms, drive("map", 1, 250, 0.005), drive("map", 3, 900, 0.005)], [])
