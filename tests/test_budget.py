@@ -5,13 +5,13 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "lines of sim and deepgps": 42_037,
-    "files of sim and deepgps": 291,
-    "lines of tests": 29_144,
+    "lines of sim and deepgps": 42_298,
+    "files of sim and deepgps": 293,
+    "lines of tests": 29_269,
     "Python files directly in deepgps": 2,
-    "words of decisions": 6_270,
-    "words of all other pages by hand": 20_325,
-    "words of the reference that the code does not say": 3_316,
+    "words of decisions": 6_308,
+    "words of all other pages by hand": 20_875,
+    "words of the reference that the code does not say": 3_318,
     "words of published results": 8_000,
 }
 
