@@ -160,9 +160,9 @@ def test_floor_below_a_shelf_that_rays_pass_is_no_floor_to_see_but_may_be_some()
     room = walls()
     add_box(room, "shelf", (0.7, 0.1, 0.2), (0.7, 0.4, 0.01))
     world = make_world(room)
-    planner, places = explore(world, 80, robot=TouchingRobot(world, START))
+    planner, places = explore(world, 45, robot=TouchingRobot(world, START))
     likely, low, high = planner.measure_unseen()
-    assert find_seen(floor_cells(world), places).mean() > 0.98
+    assert find_seen(floor_cells(world), places).mean() > 0.97
     assert low <= likely < 0.01
     assert high > 0.02
 
