@@ -33,6 +33,12 @@ LOADING_HINT = "--plugin FILE loads one, in Python plugins=[FILE]"
 MODULE_PREFIX = "deepgps_plugin_"  # Beginning of the names of modules that are plugins
 
 
+def name_code(function: Callable[..., Any]) -> str:
+    """File and name of a plugin's function."""
+    code = getattr(function, "__code__", None)
+    return f"{code.co_filename}, {code.co_name}" if code else repr(function)
+
+
 def locate_failure(error: BaseException) -> str | None:
     """The plugin's file and line in which an exception was raised; None: not in a plugin's code."""
     if isinstance(error, SyntaxError) and error.filename and error.lineno:

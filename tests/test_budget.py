@@ -5,12 +5,12 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "lines of sim and deepgps": 42_298,
+    "lines of sim and deepgps": 42_409,
     "files of sim and deepgps": 293,
-    "lines of tests": 29_269,
+    "lines of tests": 29_369,
     "Python files directly in deepgps": 2,
-    "words of decisions": 6_308,
-    "words of all other pages by hand": 20_859,
+    "words of decisions": 6_348,
+    "words of all other pages by hand": 20_861,
     "words of the reference that the code does not say": 3_318,
     "words of published results": 8_000,
 }

@@ -44,9 +44,9 @@ MAX_SEEDS = 100
 
 @dataclass(frozen=True)
 class RoomsArguments:
-    kinds: Annotated[str, tyro.conf.arg(metavar="KIND,KIND")] = "all"
+    kinds: Annotated[str, tyro.conf.arg(metavar="KIND,KIND")] = "living_room,office,kitchen,flat"
     """Kinds of room, separated by commas, or all."""
-    seeds: Annotated[str, tyro.conf.arg(metavar="FIRST-LAST")] = "0-3"
+    seeds: Annotated[str, tyro.conf.arg(metavar="FIRST-LAST")] = "0"
     """Seeds, such as 0-3 or 0,2,5."""
     out: File = Path("rooms.png")
     """The picture to write."""

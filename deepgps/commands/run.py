@@ -22,8 +22,11 @@ def run_command(words: Sequence[str]) -> None:
     if metrics is None:
         return
     from deepgps.reports.run_report import print_report
+    from deepgps.runs.run_table import compare_with_latest
 
     print_report(folder, console, time.monotonic() - START_S)
+    if beside := compare_with_latest(folder):
+        say(f"\n{beside}")
     say(f"\nlook at it: deepgps view {quote_path(folder)}")
 
 

@@ -24,6 +24,7 @@ from deepgps.positioner.stored_positioner import is_finished, load_positioner, s
 from deepgps.positioner.without_features import ArrayPositioner
 from deepgps.terminal.progress import Report, ignore
 from sim.errors import InputError, WorkError
+from sim.plugins import name_code
 from sim.recording.format import Recording, observation_file
 
 
@@ -44,7 +45,7 @@ def fit_method(
             start = time.perf_counter()
             fitted = fit(recording, settings, seed, folder, progress)
             if not isinstance(fitted, Fitted):
-                raise WorkError(f"method {name}: fit must return deepgps.Fitted, not a {type(fitted).__name__}")
+                raise WorkError(f"{name_code(fit)} must return deepgps.Fitted, not a {type(fitted).__name__}")
             positioner, training = fitted
             if method.predict is not None and isinstance(positioner, Mapping):
                 parameters = sum(np.asarray(array).size for array in positioner.values())

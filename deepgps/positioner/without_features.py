@@ -16,6 +16,7 @@ from deepgps.config.methods import find_method
 from deepgps.data.features import check_shape
 from deepgps.positioner.positioner import Packed, Positioner
 from sim.errors import InputError, WorkError
+from sim.plugins import name_code
 
 NAMES = ("mean", "axes", "known", "places")
 
@@ -70,9 +71,9 @@ class ArrayPositioner(Positioner):
     def __call__(self, observations: np.ndarray) -> np.ndarray:
         method = find_method(self.method)
         assert method.predict is not None
-        found = np.asarray(method.predict(self.arrays, np.asarray(observations)), float)
-        if found.shape != (len(observations), 2):
-            raise WorkError(f"method {self.method}: predict must return {(len(observations), 2)}, not {found.shape}")
+        found, shape = np.asarray(method.predict(self.arrays, np.asarray(observations)), float), (len(observations), 2)
+        if found.shape != shape:
+            raise WorkError(f"{name_code(method.predict)} must return positions {shape}, not {found.shape}")
         return found
 
     def pack(self) -> Packed:

@@ -4,7 +4,7 @@ import time
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from deepgps.config.methods import title_of
 from deepgps.config.scenario import Scenario, list_settings, load_scenario, names_in
@@ -38,6 +38,23 @@ def list_differences(scenario: Scenario) -> dict[str, Any]:
     return {name: value for name, value in own.items() if name != "name" and base.get(name) != value}
 
 
+def compare_with_latest(run: Path) -> str | None:
+    """A sentence on the latest run beside this one that differs in one group of settings; None: there is none."""
+    own, errors = list_settings(open_run(run)), _read_errors(run)
+    for other in sorted(list_runs(run.parent), key=_find_time, reverse=True):
+        try:
+            theirs, their_errors = list_settings(open_run(other)), _read_errors(other)
+        except InputError:
+            continue
+        names = [name for name in own if own[name] != theirs.get(name) and name != "methods"]
+        both = [name for name in errors if name in their_errors]
+        if both and len({name.partition(".")[0] for name in names}) == 1:
+            changes = " ".join(f"{as_option(name)} {_write(own[name])} ({_write(theirs.get(name))})" for name in names)
+            pairs = (f"{title_of(name)} {errors[name]} ({their_errors[name]})" for name in both)
+            return f"Beside {other.name} (in brackets): {changes}. RMS, median [cm]: {'; '.join(pairs)}."
+    return None
+
+
 def write_age(seconds: float) -> str:
     """An age in its largest unit, such as ``3 h``."""
     size, unit = next((size, unit) for size, unit in UNITS if seconds >= size or size == 1)
@@ -54,19 +71,31 @@ def _describe(run: Path, name: Path) -> tuple[str, str, str, str]:
 
 
 def _describe_errors(run: Path) -> str:
-    path = run / METRICS
-    if path.is_file():
-        metrics = read_json(path)
-        try:
-            errors = [
-                (title_of(name), 100 * one["rms_m"], 100 * one["median_m"]) for name, one in metrics["methods"].items()
-            ]
-            return ", ".join(f"{title} {rms:.1f} ({median:.1f})" for title, rms, median in errors)
-        except (LookupError, TypeError, ValueError, AttributeError):
-            raise damaged(path, "it does not list the errors of methods") from None
+    if (run / METRICS).is_file():
+        return ", ".join(
+            f"{title_of(name)} {one.rms:.1f} ({one.median:.1f})" for name, one in _read_errors(run).items()
+        )
     if (run / TRUTHLESS_METRICS).is_file():
         return "no truth"
     return "not measured" if is_whole(run / "recording") else "no finished recording"
+
+
+class _Errors(NamedTuple):
+    rms: float  # [cm]
+    median: float  # [cm]
+
+    def __str__(self) -> str:
+        return f"{self.rms:.1f}, {self.median:.1f}"
+
+
+def _read_errors(run: Path) -> dict[str, _Errors]:
+    """Errors of a run's methods, by their names; none: it has not been measured."""
+    path = run / METRICS
+    metrics = read_json(path) if path.is_file() else {"methods": {}}
+    try:
+        return {name: _Errors(100 * one["rms_m"], 100 * one["median_m"]) for name, one in metrics["methods"].items()}
+    except (LookupError, TypeError, ValueError, AttributeError):
+        raise damaged(path, "it does not list the errors of methods") from None
 
 
 def _find_time(run: Path) -> float:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from sim.errors import InputError, WorkError
-from sim.plugins import ENCODER_FAULTS, LOADING_HINT
+from sim.plugins import ENCODER_FAULTS, LOADING_HINT, name_code
 from sim.rng import split
 from sim.settings import EncoderSettings
 
@@ -74,12 +74,13 @@ def _disturb_by_plugin(
     shape = angle.shape
     if fault.apply is not None:
         angle = np.asarray(fault.apply(angle.copy(), strength, wheel_radius_m, rng), float)
+        if angle.shape != shape or not np.isfinite(angle).all():
+            raise WorkError(f"{name_code(fault.apply)} must return finite angles {shape}, not {angle.shape}")
     if fault.drops is not None:
         dropped = np.asarray(fault.drops(len(dropped), strength, rng))
-    if angle.shape != shape or not np.isfinite(angle).all():
-        raise WorkError(f"encoder fault {name}: apply must return finite angles {shape}, not {angle.shape}")
-    if dropped.shape != shape[:1] or dropped.dtype != bool:
-        raise WorkError(f"encoder fault {name}: drops must return a mask {shape[:1]} of bool, not {dropped.shape}")
+        if dropped.shape != shape[:1] or dropped.dtype != bool:
+            got = f"{dropped.shape} of {dropped.dtype}"
+            raise WorkError(f"{name_code(fault.drops)} must return a mask {shape[:1]} of bool, not {got}")
     return angle, dropped
 
 

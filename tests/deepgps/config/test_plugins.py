@@ -161,8 +161,8 @@ def test_a_fault_that_fails_is_one_line_that_names_file_and_line(tmp_path: Path)
     for body, *parts in (
         ("1 / 0", "mine.py, line 5: ZeroDivisionError"),
         ("__import__('json').loads('{')", "mine.py, line 5: JSONDecodeError"),
-        ("angle[:-1]", "encoder fault mine: apply must return finite angles ("),
-        ("angle * float('nan')", "encoder fault mine: apply must return finite angles ("),
+        ("angle[:-1]", "mine.py, ", " must return finite angles ("),
+        ("angle * float('nan')", "mine.py, ", " must return finite angles ("),
     ):
         done = deepgps_here(*words, "--plugin", str(write_fault(tmp_path, body)), cwd=tmp_path)
         assert done.returncode == 1
@@ -174,7 +174,7 @@ def test_a_method_that_fails_is_one_line_and_exit_code_1(tmp_path: Path):
     for body, message in (
         ("raise KeyError('seven')", "mine.py, line 5: KeyError: 'seven'"),
         ("return deepgps.Fitted(3, {})", "method mine: fit must return one of deepgps's own positioners"),
-        ("return 3", "method mine: fit must return deepgps.Fitted, not a int"),
+        ("return 3", "mine.py, fit must return deepgps.Fitted, not a int"),
     ):
         code = f"""
             import deepgps

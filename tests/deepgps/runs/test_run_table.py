@@ -9,7 +9,7 @@ import pytest
 
 from deepgps.config.scenario import Scenario, load_scenario
 from deepgps.runs.run_folder import TRUTHLESS_METRICS, claim, default_folder, describe_work, list_runs
-from deepgps.runs.run_table import list_differences, write_age
+from deepgps.runs.run_table import compare_with_latest, list_differences, write_age
 from sim.files.checksums import write_json
 from tests.helpers.command import deepgps_here
 
@@ -41,6 +41,19 @@ def test_runs_are_listed_by_what_they_change(tmp_path: Path):
     assert errors == [f"{nearest} 4.1 (2.0)", f"{nearest} 40.0 (2.0)", "no finished recording"]
     changes = [line[heading.index("differs") :] for line in lines]
     assert changes == ["nothing", "--encoder.step-noise 0.1 --methods knn posenet", "--room.seed 3"]
+
+
+def test_a_run_is_set_beside_the_latest_that_differs_in_one_group(tmp_path: Path):
+    other = make_run(tmp_path, {"encoder.step_noise": 0.2}, 0.3, age_s=60)
+    make_run(tmp_path, {"encoder.step_noise": 0.2, "room.seed": 3}, 0.1, age_s=30)
+    own = tmp_path / "runs" / "tiny" / make_run(tmp_path, {"encoder.step_noise": 0.1, "methods": ["knn"]}, 0.2)
+    assert compare_with_latest(own) == (
+        f"Beside {other} (in brackets): --encoder.step-noise 0.1 (0.2). RMS, median [cm]: Nearest neighbour 20.0, 2.0 "
+        "(30.0, 2.0)."
+    )
+    assert compare_with_latest(own.parent / other) is not None
+    make_run(tmp_path / "elsewhere", {}, 0.1)
+    assert compare_with_latest(next((tmp_path / "elsewhere").glob("runs/tiny/seed*"))) is None
 
 
 def test_a_run_without_truth_is_listed_as_such_with_the_time_of_its_figures(tmp_path: Path):
