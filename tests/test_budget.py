@@ -9,8 +9,8 @@ LIMITS = {
     "files of sim and deepgps": 293,
     "lines of tests": 29_369,
     "Python files directly in deepgps": 2,
-    "words of decisions": 6_348,
-    "words of all other pages by hand": 20_861,
+    "words of decisions": 6_384,
+    "words of all other pages by hand": 20_881,
     "words of the reference that the code does not say": 3_318,
     "words of published results": 8_000,
 }
