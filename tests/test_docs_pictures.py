@@ -8,6 +8,7 @@ import pytest
 
 from deepgps.evaluation.error_field import read_all_headings
 from docs import pictures
+from docs.explore_picture import draw_drive
 from docs.trust_picture import draw_trust
 from sim.recording.format import open_truth
 
@@ -19,6 +20,10 @@ def test_the_pictures_of_concepts_are_drawn_from_a_run(finished_run: Path, tmp_p
     drawn = {path.stem: np.asarray(cv2.imread(str(path))) for path in tmp_path.glob("*.png")}
     assert set(drawn) == {"camera", "segments", "straightness", "map", "fold", "error_field"}
     assert all(picture.std() > 10 for picture in drawn.values())
+
+
+def test_the_picture_of_exploring_is_drawn_from_a_drive(finished_run: Path):
+    assert len(draw_drive(open_truth(finished_run / "recording")).axes) == 3
 
 
 def test_the_picture_about_trust_is_drawn_from_a_run(finished_run: Path):

@@ -127,7 +127,7 @@ def _measure(run: Path, scenario: Scenario, progress: Report) -> dict[str, Any]:
         # Samples without a label, and errors of the labels
         **({} if labels is None else {"labels": measure_labels(labels, truth)}),
         "shorter_side_m": side_m,  # Shorter side of the room
-        **describe_drive(recording),
+        **describe_drive(recording, methods),
         # Whether tests are held out of the drive, and at how many headings
         "test": {"held_out": bool(scenario.grid.held_out), "headings": some.predicted.shape[1]},
         # Test positions, and how many of them the drive has seen

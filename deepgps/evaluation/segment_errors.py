@@ -1,5 +1,7 @@
 """Errors of a recording's driven distances, compared with those expected of its encoders: for evaluation only."""
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -12,6 +14,7 @@ from sim.recording.format import Recording, Truth, measure_driven
 from sim.recording.manifest import Manifest
 from sim.settings import EncoderSettings
 
+EMPTY = MappingProxyType[str, Any]({})
 HEADING_DISTANCE_M = 3.0  # Way of the true path by which a dead-reckoned one is rotated [m]
 
 
@@ -31,30 +34,39 @@ def judge_encoders(recording: Recording, truth: Truth) -> dict[str, Any]:
     }
 
 
-def describe_drive(recording: Recording) -> dict[str, Any]:
-    """Observations, straight segments and distance driven [m]; what the manifest does not say, by the readings."""
+def describe_drive(recording: Recording, methods: Mapping[str, Any] = EMPTY) -> dict[str, Any]:
+    """Observations, straight segments and distance driven [m]; what the manifest does not say, by the readings.
+
+    Of methods, what their trainings recorded of the drive is taken.
+    """
     about, segment = recording.manifest, recording.reading[:, 0]
     segments, driven_m = about.segments, about.distance_driven_m
     if driven_m is None:
         driven_m = measure_driven(segment, travel(recording.reading[:, 2:], about.odometry).mean(axis=1))
+    radii = [known["left_out_m"] for known in methods.values() if "left_out_m" in known]
     return {
         "samples": len(recording.observation),  # Observations
         "segments": len(np.unique(segment)) if segments is None else segments,  # Straight segments
         "distance_driven_m": driven_m,  # Distance along all segments [m]
-        **describe_unseen(about),
+        **describe_unseen(about, len(recording.observation), driven_m, min(radii, default=None)),
     }
 
 
-def describe_unseen(about: Manifest) -> dict[str, Any]:
-    """What the robot's own map says of the floor without images within 0.25 m, if it has one."""
+def describe_unseen(about: Manifest, images: int, driven_m: float, radius_m: float | None) -> dict[str, Any]:
+    """What the robot itself knows of how much it has seen, if it has a map of its own, after so many images."""
     more = about.model_extra or {}
     if "unseen" not in more:
         return {}
-    (unseen, most), until = more["unseen"], about.settings.get("drive", {}).get("until", {}).get("unseen")
+    (unseen, low, high), until = more["unseen"], about.settings.get("drive", {}).get("until", {}).get("unseen")
     return {
         "explore": {
             "unseen": unseen,  # Share of the floor without an image within 0.25 m, likely
-            "unseen_high": most,  # The same, at most
+            "unseen_low": low,  # The same, at least
+            "unseen_high": high,  # The same, at most
+            # Radius within which registration on other segments places 68 % of the images; None: none was registered
+            "radius_m": radius_m,
+            "driven_m": driven_m,  # Distance along all segments [m]
+            "images": images,  # Observations
             # Which of the drive's settings ended it: until.unseen or samples
             "ended_by": "unseen" if until is not None and unseen <= until else "samples",
         }

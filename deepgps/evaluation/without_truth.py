@@ -51,7 +51,7 @@ def judge(run: Path, scenario: Scenario, progress: Report = ignore) -> dict[str,
             methods[name] = _judge_method(folder_of(run, name), recording, held_out, device)
     progress("evaluate", len(scenario.methods), len(scenario.methods))
     return {
-        **describe_drive(recording),
+        **describe_drive(recording, methods),
         # Observations, segments and distance of the drive that is held out
         **({} if held_out is None else {"held_out": describe_drive(held_out)}),
         "wheels": _diagnose_wheels(run, recording),  # What is wrong with the wheels; None: it cannot be known

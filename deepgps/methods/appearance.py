@@ -209,9 +209,9 @@ def calibrate(known: Registration, images: np.ndarray, heading: np.ndarray, left
         position, covariance = fuse(position, covariance, found.position, pixels * found.covariance[:, :2, :2])
     away, size = np.linalg.norm(position - place, axis=1), np.sqrt(find_trace(covariance) * inflate(unlike / usual))
     small, large = (RADIUS_MARGIN * float(np.quantile(away / size, level)) for level in LEVELS)
-    limits, difference = (_find_limit(unlike), pixels_limit), float(np.quantile(away, USUAL_SHARE))
+    limits, distances = (_find_limit(unlike), pixels_limit), np.quantile(away, (USUAL_SHARE, LEVELS[0])).tolist()
     return Calibration(
-        features, pixels, float(usual), *limits, float(components), (small, large), yaw, light, difference
+        features, pixels, float(usual), *limits, float(components), (small, large), yaw, light, *distances
     )
 
 

@@ -89,7 +89,8 @@ def finish(
     positioner = RegistrationPositioner(index, upright=data.upright, appearance=appearance, mount=mount)
     progress(folder.name, 1, 1)
     stored = sum(tensor.numel() for tensor in appearance.pack().tensors.values())
-    return Fitted(positioner, {"steps": 0, "train_s": round(time.perf_counter() - start, 1), "parameters": stored})
+    record = {"steps": 0, "train_s": round(time.perf_counter() - start, 1), "parameters": stored}
+    return Fitted(positioner, record | {"left_out_m": appearance.registration.calibration.left_out})
 
 
 def find_headings(recording: Recording, positions: np.ndarray) -> np.ndarray:

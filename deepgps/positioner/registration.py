@@ -99,6 +99,7 @@ class Calibration:
     yaw: float  # Standard deviation of the yaw over that by the pixels alone
     light: float  # Largest usual change of the logarithm of the brightness; 0 without pixels
     difference: float  # Largest usual distance of a left-out image from its position on the map [m]
+    left_out: float = 0.0  # Radius about their positions on the map within which 68 % of left-out images are placed [m]
 
 
 @dataclass(frozen=True)

@@ -92,9 +92,11 @@ def describe(metrics: Mapping[str, Any], times: Mapping[str, float] | None = Non
         f"{metrics['distance_driven_m']:.0f} m driven; the room's shorter side is {metrics['shorter_side_m']:.2f} m."
     ]
     if found := metrics.get("explore"):
-        likely, most = (f"{100 * found[name]:.1f} %" for name in ("unseen", "unseen_high"))
+        likely, low, high = (f"{100 * found[name]:.1f}" for name in ("unseen", "unseen_low", "unseen_high"))
         ended = "was done" if found["ended_by"] == "unseen" else "ended with its last image"
-        sentences.append(f"The drive {ended}: by the robot's own map {likely} of the floor is unseen, at most {most}.")
+        radius = "" if found["radius_m"] is None else f", radius {100 * found['radius_m']:.1f} cm"
+        known = f"{likely} % of the floor unseen ({low} to {high}){radius}, after {found['driven_m']:.0f} m"
+        sentences.append(f"The drive {ended}; by what the robot itself knows: {known}.")
     if distances := metrics.get("distances"):
         measured, expected = (f"{100 * distances[f'segment_{name}']:.2f} cm" for name in ("rms_m", "expected_m"))
         sentence = f"The encoders' segment lengths have an RMS error of {measured}; theory predicts {expected}."

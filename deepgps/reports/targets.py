@@ -23,6 +23,7 @@ SHARES = (
     *("relative_rms", "relative_median", "seen", "flipped", "accepted", "misplaced", "turned", "planar"),
     *("radius_68_holds", "radius_95_holds", "grid_68", "grid_95", "use_68", "use_95", "within_2_cm", "within_5_cm"),
     *("refused", "large_refused", "images", "right_share", "interval_holds", "holds_with_fault", "map_too_large"),
+    *("unseen", "unseen_low", "unseen_high", "unseen_true"),
 )
 UNITS = {"distance_m": "m", **dict.fromkeys(SHARES, "%")}  # Units of columns that their ends do not tell
 

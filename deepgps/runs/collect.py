@@ -18,6 +18,7 @@ from sim.errors import DamagedError, InputError, WorkError
 from sim.recording.derive import derive
 from sim.recording.format import check_recording, is_whole
 from sim.sensors.catalog import SENSORS, list_carried
+from sim.settings import SimSettings
 
 log = logging.getLogger(__name__)
 
@@ -106,6 +107,13 @@ def draw_views(scenario: Scenario, poses: np.ndarray) -> np.ndarray | None:
     except (InputError, WorkError) as error:
         log.info("the viewer goes without large pictures: %s", error)
         return None
+
+
+def find_parts(settings: SimSettings) -> tuple[np.ndarray, np.ndarray]:
+    """Middles (n, 2) and (m, 2) [m] of the free floor of the rooms of a flat, and of its doorways."""
+    from sim.tools.gallery import find_parts as find
+
+    return find(settings.room)
 
 
 def _record_room(

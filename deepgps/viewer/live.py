@@ -28,6 +28,7 @@ from deepgps.viewer.connect import ANSWER_S, find_url, knock, open_viewer
 from deepgps.viewer.error_field import list_layers
 from deepgps.viewer.layout import STEPS, Layers, make_live_blueprint
 from deepgps.viewer.making import History, log_loss, log_snapshots
+from deepgps.viewer.own_map import log_own_map, tell_unseen
 from deepgps.viewer.pictures import make_warp
 from deepgps.viewer.run import LAYERS, READING_HINT, log_results
 from deepgps.viewer.scene import log_room
@@ -150,6 +151,7 @@ class LiveDrive:
     def __init__(self, stream: rr.RecordingStream, folder: Path, camera: CameraSettings) -> None:
         self.stream, self.work, self.camera = stream, work_folder(folder), camera
         self.chunks = self.pictures = self.observations = self.segments = 0
+        self.unseen = ""  # What the robot's own map says of the floor that it has not seen
         self.last = np.empty((0, 2))  # end of the last segment, where the next one begins
         drive.log_robot(stream, TRACK_M, camera.height_m)
 
@@ -163,6 +165,9 @@ class LiveDrive:
                 yaw = 2 * np.arctan2(state[:, 6], state[:, 3])  # assumes an upright robot
                 pose = np.column_stack([state[:, :2], yaw])
                 self._send_segments(pose, chunk["segment"], chunk["observation"], spread)
+                if "view" in chunk:
+                    log_own_map(self.stream, chunk, pose[-1], run_clock(spread(1)))
+                self.unseen = tell_unseen(chunk)
                 self.chunks += 1
             while (path := chunk_files(self.work, self.pictures)[1]).is_file():
                 self._send_pictures(read_arrays(path)["image"][::PICTURE_STRIDE], spread)
@@ -277,7 +282,7 @@ class LiveView:
 
     def _send_steps(self) -> None:
         rows = [[title_of(label), f"{done:,}", f"{total:,}"] for label, (done, total) in dict(self.steps).items()]
-        text = tabulate(["stage", "done", "of"], rows)
+        text = "\n\n".join(filter(None, (tabulate(["stage", "done", "of"], rows), self._drive.unseen)))
         if text != self._text:
             self._text = text
             put_text(self._stream, STEPS, text)

@@ -74,7 +74,7 @@ def _is_done(settings: SimSettings, observations: int, unseen: np.ndarray) -> bo
 def count_wanted(settings: SimSettings, chunk: dict[str, np.ndarray]) -> tuple[int, int]:
     """Observations driven up to the end of a chunk, at most those that are wanted in all, and these."""
     driven, wanted = int(chunk["observations"]), settings.drive.samples + settings.grid.held_out
-    done = _is_done(settings, driven, chunk.get("unseen", np.ones(1)))
+    done = _is_done(settings, driven, chunk.get("unseen", np.ones(3)))
     return min(driven, wanted), min(driven, wanted) if done else wanted
 
 

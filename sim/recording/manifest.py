@@ -110,8 +110,8 @@ def light_part(settings: SimSettings, number: int) -> SimSettings:
 MAP_ENTRIES = ("unreached", "unseen")
 """What a robot with a map of its own tells at the end of the drive.
 
-Floor that it saw and did not reach: places and areas [m, m, m2]; share of the floor that no image is near: likely, and
-at most.
+Floor that it saw and did not reach: places and areas [m, m, m2]; share of the floor that no image is near: likely, at
+least, and at most.
 """
 
 

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from sim.geometry import wrap
-from sim.robot.grid_map import CROSS, FLOOR_CELL_M, SWATH_M, Floor, GridMap, go, scan
+from sim.robot.grid_map import CROSS, FLOOR_CELL_M, SWATH_M, Floor, GridMap, find_reached, go, scan
 from sim.robot.headings import START_COST_M, STOP_DISTANCE_M, Course, DriveMode, Planner, Visits
 from sim.robot.model import wheel_motion
 from sim.robot.motion import Robot, look
@@ -30,6 +30,7 @@ LEAST_PASSED_SHARE = 0.1  # Share of the floor that counts as passed by the fewe
 SWATH_CELLS = round(2 * SWATH_M / FLOOR_CELL_M)
 MOST_FAILED = 3  # After so many segments in a row without an image, any heading may be taken
 MOST_AIMS, AIMS = 5, 60  # A goal that more than so many of the last aims were at is left alone
+RIM_CELLS = 1, 4  # Floor this near to what was passed is likely seen, and surely not unseen
 SMALLEST_PART_M2 = 0.05  # Smaller parts of the floor are not reported [m2]
 
 
@@ -41,8 +42,9 @@ class Explorer:
     def __init__(self, robot: Robot) -> None:
         self._body, self._angle = robot.body, robot.wheel_angle()
         self._pose, self._grid, self._next_scan_m = np.zeros(3), GridMap(), 0.0
+        self._imaged = self._pose  # Where the last image was taken
         self._failed, self._doubtful, self._aims = 0, False, np.empty((0, 2))
-        self.unseen = np.ones(2)  # Share of the floor that no image is near: likely, and at most
+        self.unseen = np.ones(3)  # Share of the floor that no image is near: likely, at least, and at most
 
     def choose(self, robot: Robot, settings: DriveSettings, rng: np.random.Generator, mode: DriveMode) -> Course:
         """Where the next segment goes: along the best heading with enough that is clear by the rays."""
@@ -82,7 +84,8 @@ class Explorer:
         """Follow the robot along a segment to the wheel angles (2,), with images at others (m, 2) [rad]."""
         if len(images) > 1:
             length_m, _ = wheel_motion(images[-1] - images[0], self._body)
-            self._grid.pass_over(self._pose[:2], go(self._pose, 0.0, length_m))
+            self._imaged = np.array((*go(self._pose, 0.0, length_m), self._pose[2]))
+            self._grid.pass_over(self._pose[:2], self._imaged[:2])
         self.move(wheel_angle)
         if touched:
             self._grid.touch(self._pose, self._body.radius_m)
@@ -92,9 +95,9 @@ class Explorer:
         """The robot was carried to its start, where its rays tell how it stands."""
         self._pose = np.zeros(3)
 
-    def unreached(self) -> np.ndarray:
+    def unreached(self, floor: Floor | None = None) -> np.ndarray:
         """Floor that the robot saw and where it fits, but did not get to: places and areas (n, 3) [m, m, m2]."""
-        floor = self._grid.read_floor(self._body.radius_m)
+        floor = floor or self._grid.read_floor(self._body.radius_m)
         stats, middle = cv2.connectedComponentsWithStats((floor.fits & (floor.passes == 0)).astype(np.uint8))[2:]
         area = stats[:, cv2.CC_STAT_AREA, None] * FLOOR_CELL_M**2
         parts = np.hstack([floor.corner_m + (middle + 0.5) * FLOOR_CELL_M, area])[1:]
@@ -104,39 +107,48 @@ class Explorer:
         """Arrays from which ``set_state`` restores everything."""
         own, grid = {"angle": self._angle, "pose": self._pose, "aims": self._aims}, self._grid
         own |= {"failed": np.array((self._failed, self._doubtful)), "box": np.stack([grid.low, grid.high])}
-        own |= {"seen": grid.seen[grid.box], "passes": grid.passes[grid.box]}
+        own |= {"seen": grid.seen[grid.box], "passes": grid.passes[grid.box], "felt": grid.felt[grid.box]}
         return {f"map_{name}": part for name, part in own.items()} | {
-            "unreached": self.unreached(),
+            "unreached": self.unreached(floor := grid.read_floor(self._body.radius_m)),
             "unseen": self.unseen,
+            **self._draw(floor),
         }
 
     def set_state(self, state: dict[str, np.ndarray]) -> None:
         """Restore the arrays of ``state``; others are not read."""
         grid = self._grid
         grid.low, grid.high = state["map_box"]
-        grid.seen[grid.box], grid.passes[grid.box] = state["map_seen"], state["map_passes"]
+        for name in ("seen", "passes", "felt"):
+            getattr(grid, name)[grid.box] = state[f"map_{name}"]
         self._angle, self._pose, self._aims = (state[f"map_{name}"] for name in ("angle", "pose", "aims"))
         self._failed, self._doubtful = state["map_failed"].tolist()
-        self.unseen = state["unseen"]
+        self.unseen, self._imaged = state["unseen"], state["view_pose"]
 
     def _scan(self, robot: Robot) -> None:
         seen = scan(robot)
         self._pose = match(self._grid, self._pose, seen, self._doubtful)
         self._grid.add(self._pose, seen)
 
-    def measure_unseen(self, floor: Floor | None = None) -> np.ndarray:
-        """Share of the floor that no image is near: likely, and at most (2,).
+    def _draw(self, floor: Floor) -> dict[str, np.ndarray]:
+        """The map for people: cells that were passed 1, not yet 2, beside what is not known 3, where things stand 4."""
+        code = np.where(floor.passes > 0, 1, np.where(floor.edge, 3, 2))
+        view = np.where(floor.fits, code, np.where(self._grid.seen[self._grid.box][::2, ::2] > 0, 4, 0))
+        at = np.array((*floor.corner_m, FLOOR_CELL_M))
+        return {"view": view.astype(np.uint8), "view_at": at, "view_pose": self._imaged}
 
-        Rims beside what was passed, and floor that was aimed at in vain, count only in the second.
+    def measure_unseen(self, floor: Floor | None = None) -> np.ndarray:
+        """Share of the floor that no image is near: likely, at least, and at most (3,).
+
+        Rims beside what was passed, and floor that was aimed at in vain, count only in the last, as does floor that is
+        cut off by a front of touches.
         """
         floor = floor or self._grid.read_floor(self._body.radius_m)
-        parts = cv2.connectedComponents(floor.fits.astype(np.uint8), connectivity=4)[1]
+        own, every = (find_reached(part, floor.been) for part in (floor.open & ~floor.shut, floor.open))
         passed = floor.passes > 0
-        own = floor.fits & np.isin(parts, parts[floor.fits & passed]) if passed.any() else floor.fits
-        new, size = own & ~passed, max(own.sum(), 1)
-        beside = cv2.dilate(passed.astype(np.uint8), CROSS) > 0
-        likely = (new & ~beside & ~self._is_left_alone(floor)).sum() / size
-        return np.array((likely, new.sum() / size))
+        new = own & ~passed & ~self._is_left_alone(floor)
+        near = [cv2.dilate(passed.astype(np.uint8), CROSS, iterations=cells) > 0 for cells in RIM_CELLS]
+        likely, least = ((new & ~rim).sum() / max(own.sum(), 1) for rim in near)
+        return np.array((likely, least, (every & ~passed).sum() / max(every.sum(), 1)))
 
     def _list_goals(self, floor: Floor) -> Iterator[np.ndarray]:
         """Masks of goals, the next if the robot finds no way to those before."""

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+from scipy import ndimage
 
 from sim.robot.motion import Robot
 from sim.robot.range_finder import REACH_M, lay_fan
@@ -17,6 +18,8 @@ MARGIN_M = 0.04  # Floor this near to what a ray met is not marked as free [m]
 ERASING_RADIUS_M = 1.0  # Nearer than this, hardly an obstacle fits between two rays of a scan [m]
 MEETING, MOST_MEETINGS, CONTACT = 3, 9, 30
 """What was met once, often, or touched is forgotten after so many scans from nearby that do not meet it."""
+FRONT_M = 0.6  # Touches along more than the way through a door are of things that no ray meets [m]
+BODY_CELLS = 7  # Width of what a robot's body surely passes
 CONTACT_RAD = 0.6  # What was touched is within this angle of straight ahead [rad]
 SWATH_M = 0.225  # Floor this near to a segment is within 0.25 m of an image [m]
 DRAWN_BITS = 6  # OpenCV draws to this fraction of a cell
@@ -57,6 +60,9 @@ class Floor(NamedTuple):
 
     corner_m: np.ndarray  # Where the first cell begins (2,) [m]
     fits: np.ndarray  # Whether the robot's middle fits there
+    open: np.ndarray  # The same by rays alone, whatever was touched
+    shut: np.ndarray  # Whether it does not fit by what was touched along a front
+    been: np.ndarray  # Whether its body was there
     edge: np.ndarray  # Whether the cell or one beside it is not known
     passes: np.ndarray  # By how many segments it was passed
 
@@ -89,6 +95,7 @@ class GridMap:
     def __init__(self) -> None:
         # Positive where something stands, -1 where nothing does, 0 where no ray was; how many segments passed
         self.seen, self.passes = np.zeros((CELLS, CELLS), np.int8), np.zeros((CELLS, CELLS), np.uint16)
+        self.felt = np.zeros((CELLS, CELLS), np.int8)  # 1 where something was touched last, -1 where the body was
         # What is in use, from one column and row to before another, in even numbers
         self.low, self.high = np.full(2, CELLS // 2), np.full(2, CELLS // 2 + 2)
 
@@ -117,8 +124,8 @@ class GridMap:
 
     def touch(self, pose: np.ndarray, radius_m: float) -> None:
         """Mark what a robot of a radius [m] touched at a pose (3,): something before it that its rays do not see."""
-        ahead = np.linspace(-CONTACT_RAD, CONTACT_RAD, 9)
-        self.seen[find(go(pose, ahead, radius_m + CELL_M))] = CONTACT
+        met = find(go(pose, np.linspace(-CONTACT_RAD, CONTACT_RAD, 9), radius_m + CELL_M))
+        self.seen[met], self.felt[met] = CONTACT, 1
 
     def pass_over(self, start: np.ndarray, end: np.ndarray) -> None:
         """Note a segment from one place to another (2,) [m]."""
@@ -126,17 +133,23 @@ class GridMap:
         mask = np.zeros(self.passes[box].shape, np.uint8)
         first, last = _draw(np.stack([start, end]), box).tolist()
         self.passes[box] += cv2.line(mask, first, last, 1, round(2 * SWATH_M / CELL_M), shift=DRAWN_BITS)
+        self.felt[box][cv2.line(mask * 0, first, last, 1, BODY_CELLS, shift=DRAWN_BITS) > 0] = -1
 
     def read_floor(self, radius_m: float) -> Floor:
         """The floor for a robot of a radius [m]."""
-        seen = self.seen[self.box]
-        away = cv2.distanceTransform((seen <= 0).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
-        fits = (seen < 0) & (away * CELL_M > radius_m - TOLERANCE_M)
-        fits, unknown = (
-            cells[::2, ::2] | cells[1::2, ::2] | cells[::2, 1::2] | cells[1::2, 1::2] for cells in (fits, seen == 0)
-        )
-        edge = cv2.dilate(unknown.astype(np.uint8), SQUARE) > 0
-        return Floor(self.corner_m, fits, edge, self.passes[self.box][::2, ::2])
+        seen, felt = self.seen[self.box], self.felt[self.box]
+
+        def fit(obstacle: np.ndarray) -> np.ndarray:
+            away = cv2.distanceTransform((~obstacle).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
+            return _halve((seen != 0) & ~obstacle & (away * CELL_M > radius_m - TOLERANCE_M))
+
+        touched, met = felt > 0, (seen > 0) & (seen <= MOST_MEETINGS)
+        by_rays, been = fit(met), _halve(felt < 0)
+        shut = by_rays & ~_open_doors(by_rays, fit(met | touched), been) if touched.any() else by_rays & False
+        fits = fit(seen > 0) & ~shut if (seen > MOST_MEETINGS).any() else by_rays & ~shut
+        edge = cv2.dilate(_halve(seen == 0).astype(np.uint8), SQUARE) > 0
+        passes = self.passes[self.box][::2, ::2]
+        return Floor(self.corner_m, fits, by_rays, shut, been, edge, passes)
 
     def _use(self, low_m: np.ndarray, high_m: np.ndarray) -> tuple[slice, slice]:
         """Rows and columns between two corners (2,) [m], and a few more, which are in use from now on."""
@@ -144,6 +157,29 @@ class GridMap:
         high = np.clip(np.ceil(high_m / CELL_M).astype(int) + CELLS // 2 + 3, 2, CELLS) // 2 * 2
         self.low, self.high = np.minimum(self.low, low), np.maximum(self.high, high)
         return slice(low[1], high[1]), slice(low[0], high[0])
+
+
+def _halve(cells: np.ndarray) -> np.ndarray:
+    """Cells twice as large, of which one of four is marked."""
+    return cells[::2, ::2] | cells[1::2, ::2] | cells[::2, 1::2] | cells[1::2, 1::2]
+
+
+def _open_doors(by_rays: np.ndarray, fits: np.ndarray, been: np.ndarray) -> np.ndarray:
+    """Where a robot fits by its rays and, less, by all that it touched, with what only touches shorter than a front cut
+    off from where it was: these may be beside a door."""
+    own = find_reached(fits, been)
+    cut = by_rays & ~own
+    parts = cv2.connectedComponents(cut.astype(np.uint8), connectivity=4)[1]
+    border = np.where(cv2.dilate(own.astype(np.uint8), SQUARE) > 0, parts, 0)
+    fronts = [max(side.stop - side.start for side in one) if one else CELLS for one in ndimage.find_objects(border)]
+    short = 1 + np.flatnonzero(np.array(fronts) * FLOOR_CELL_M < FRONT_M)
+    return fits | np.isin(parts, np.intersect1d(parts[cut & fits], short))
+
+
+def find_reached(floor: np.ndarray, been: np.ndarray) -> np.ndarray:
+    """The parts of the floor, a mask of cells, in which the robot was, a mask, too; all before it was anywhere."""
+    parts = cv2.connectedComponents(floor.astype(np.uint8), connectivity=4)[1]
+    return floor & np.isin(parts, parts[floor & been]) if been.any() else floor
 
 
 def find(place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -30,7 +30,7 @@ class Visits:
         self._body, self._angle = body, wheel_angle
         self._place, self._driven_m = np.zeros(2), 0.0
         self._last_m = np.full((GRID_CELLS, GRID_CELLS), -UNVISITED_AGE_M)
-        self.unseen = np.full(2, np.nan)  # visits do not tell how much floor there is
+        self.unseen = np.full(3, np.nan)  # visits do not tell how much floor there is
 
     def choose(self, robot: Robot, settings: DriveSettings, rng: np.random.Generator, mode: "DriveMode") -> "Course":
         """Where the next segment goes: as the mode says, or over the floor that was visited longest ago."""
@@ -178,7 +178,7 @@ class Course(NamedTuple):
 class Planner(Protocol):
     """Says where the next segment goes, and follows the robot by its wheel angles (2,) [rad] and what it sees."""
 
-    unseen: np.ndarray  # Share of the floor that no image is near: likely, and at most (2,); NaN: unknown
+    unseen: np.ndarray  # Share of the floor that no image is near: likely, at least, and at most (3,); NaN: unknown
 
     def choose(self, robot: Robot, settings: DriveSettings, rng: np.random.Generator, mode: DriveMode) -> Course: ...
     def watch(self, robot: Robot, travelled_m: float) -> None: ...

@@ -16,6 +16,7 @@ from sim.files.atomic import write_bytes
 from sim.geometry import FreeSpace
 from sim.robot.world import RoomWorld
 from sim.rooms.build import build_room
+from sim.rooms.flat import MARK as ROOM_MARK
 from sim.sensors.camera import gl
 from sim.sensors.camera.fisheye import Fisheye
 from sim.settings import CameraSettings, DeploymentSettings, RoomKind, RoomSettings, RoomShape, SimSettings
@@ -196,6 +197,13 @@ def _label(row: np.ndarray, text: str) -> np.ndarray:
     strip = np.full((LABEL_PX, row.shape[1], 3), 255, np.uint8)
     cv2.putText(strip, text, (MARGIN_PX, LABEL_PX - 7), cv2.FONT_HERSHEY_SIMPLEX, 0.55, (20, 20, 20), 1, cv2.LINE_AA)
     return np.vstack([strip, row])
+
+
+def find_parts(settings: RoomSettings) -> tuple[np.ndarray, np.ndarray]:
+    """Middles (n, 2) and (m, 2) [m] of the free floor of the rooms of a flat, and of its doorways."""
+    spec = build_room(settings)
+    rooms = [site.pos[:2] for site in spec.sites if site.name.startswith(ROOM_MARK)]
+    return np.array(rooms), np.array([body.pos[:2] for body in spec.bodies if body.name.startswith("doorway")])
 
 
 def draw_round(settings: SimSettings, poses: np.ndarray, size_px: int = ROUND_IMAGE_PX) -> np.ndarray:

@@ -1,5 +1,6 @@
 """What reports take from the files of runs: columns for the study's table, and pictures of rooms."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -7,23 +8,29 @@ import numpy as np
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from safetensors import safe_open
+from scipy.spatial import KDTree
 
 from deepgps.config.methods import folder_of
 from deepgps.evaluation.error_field import find_rms, read_all_headings, read_fields
 from deepgps.evaluation.evaluate import measure_heading_spread
-from deepgps.evaluation.measures import measure_visible
+from deepgps.evaluation.measures import SEEN_RADIUS_M, measure_visible
 from deepgps.positioner.positioner import Positioner
 from deepgps.positioner.stored_positioner import load_positioner
 from deepgps.reports.plots import add_scale, print_error_field
 from deepgps.reports.run_report import read_metrics
+from deepgps.runs.collect import find_parts
 from deepgps.studies.reports.encoder import NEARNESS_M, name_near
+from deepgps.studies.reports.explore import DONE_SHARE
 from deepgps.studies.reports.maps import BINS, EDGES, SHAPE
 from deepgps.studies.reports.record import PAPERS_ERRORS
 from deepgps.studies.table import Row, split_by
 from sim.errors import InputError
-from sim.recording.format import open_recording, open_truth
+from sim.recording.format import open_recording, open_truth, read_manifest
+from sim.settings import SimSettings
 
 TURNED_IMAGES = 30
+FLOOR_STRIDE = 5  # Of so many cells of the floor one is looked at
+ENTERED_M, DOOR_M = 0.5, 0.6  # An image this near is in a room; test positions this near are beside a door [m]
 
 
 def add_errors(run: Path, row: Row) -> Row:
@@ -73,6 +80,34 @@ def add_labels(run: Path, row: Row) -> Row:
         **{name: labels[name] for name in ("unlabelled", "test_unlabelled")},
         "labels_rms_m": labels["rms_m"],
         "labels_max_m": labels["max_m"],
+    }
+
+
+def add_explored(run: Path, row: Row) -> Row:
+    """Columns for the images until the floor is seen, and the share unseen at the end, by the robot's map and truly."""
+    manifest, truth = read_manifest(run / "recording"), open_truth(run / "recording")
+    space, said = truth.free_space, (manifest.model_extra or {}).get("unseen", (None, None, None))
+    floor = space.origin + np.argwhere(space.reachable)[::FLOOR_STRIDE, ::-1] * space.cell_m
+    near = KDTree(truth.pose[:, :2]).query_ball_point(floor, SEEN_RADIUS_M)
+    first = np.sort([min(images, default=np.inf) for images in near])
+    last = float(first[math.ceil((1 - DONE_SHARE) * len(first)) - 1])
+    reached = math.isfinite(last)
+    needed = {"images_needed": int(last) + 1 if reached else len(truth.pose), "reached": reached}
+    names = ("unseen", "unseen_low", "unseen_high")
+    return {**needed, **dict(zip(names, said, strict=True)), "unseen_true": float(np.isinf(first).mean())}
+
+
+def add_home(run: Path, row: Row) -> Row:
+    """Columns for the rooms of a flat and those entered, the median error beside doors, and the run's own radius."""
+    settings = SimSettings.model_validate(read_manifest(run / "recording").settings)
+    rooms, doors = find_parts(settings)
+    field, pose = read_fields(run)[row["method"]], open_truth(run / "recording").pose
+    entered = KDTree(pose[:, :2]).query(rooms)[0] < ENTERED_M
+    beside = KDTree(doors).query(field.truth)[0] < DOOR_M
+    found = read_metrics(run)["methods"][row["method"]].get("left_out_m")
+    return {
+        **{"rooms": len(rooms), "entered": int(entered.sum()), "missed": bool((~entered).any())},
+        **{"door_median_m": float(np.median(field.error[beside])) if beside.any() else None, "left_out_m": found},
     }
 
 

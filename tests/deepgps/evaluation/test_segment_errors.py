@@ -4,7 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepgps.evaluation.segment_errors import judge_encoders
+from deepgps.evaluation.segment_errors import describe_drive, judge_encoders
 from sim.recording.format import open_recording, open_truth
 from sim.sensors.encoder import read_encoders
 from sim.settings import EncoderSettings
@@ -42,3 +42,16 @@ def test_a_stuck_encoder_is_counted_and_found(folder: Path):
     found = measure(folder, EncoderSettings(ticks_per_rev=65536, stuck_fraction=0.25))
     assert found["segments_wrong"] >= 5
     assert found["wrong_doubted"] == found["segments_wrong"] <= found["segments_down_weighted"]
+
+
+def test_a_robot_with_a_map_says_what_it_has_seen_and_how_well_it_knows_its_place(folder: Path):
+    recording = open_recording(folder)
+    assert "explore" not in describe_drive(recording)
+    settings = {"drive": {"until": {"unseen": 0.005}}}
+    about = recording.manifest.model_copy(update={"unseen": [0.004, 0.001, 0.009], "settings": settings})
+    methods = {"knn": {}, "registration": {"left_out_m": 0.011}}
+    found = describe_drive(replace(recording, manifest=about), methods)
+    said = found["explore"]
+    assert (said["unseen"], said["unseen_low"], said["unseen_high"]) == (0.004, 0.001, 0.009)
+    assert (said["images"], said["driven_m"]) == (found["samples"], found["distance_driven_m"])
+    assert (said["radius_m"], said["ended_by"]) == (0.011, "unseen")

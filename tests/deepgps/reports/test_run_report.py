@@ -42,6 +42,15 @@ def test_the_table_holds_the_metrics_in_centimetres(metrics: dict) -> None:
     assert [row[0] for row in rows] == ["DeepGPS", "mine", "Dead reckoning, path"]
 
 
+def test_the_drive_says_how_much_it_has_not_seen(metrics: dict) -> None:
+    found = {"unseen": 0.004, "unseen_low": 0.001, "unseen_high": 0.009, "radius_m": 0.011, "driven_m": 412.2}
+    said = " ".join(describe({**metrics, "explore": {**found, "images": 5150, "ended_by": "unseen"}}))
+    assert "0.4 % of the floor unseen (0.1 to 0.9), radius 1.1 cm, after 412 m" in said
+    unregistered = {**found, "radius_m": None, "ended_by": "samples"}
+    assert "ended with its last image" in (said := " ".join(describe({**metrics, "explore": unregistered})))
+    assert "(0.1 to 0.9), after 412 m" in said
+
+
 def test_a_figure_that_a_method_lacks_is_a_dash_in_both_forms_of_the_table(metrics: dict) -> None:
     del metrics["methods"]["mine"]["scale"]
     headings, rows = tabulate(metrics)

@@ -110,6 +110,13 @@ def test_headings_of_the_robot_change_nothing(drawn: Drawn):
             np.testing.assert_allclose(getattr(turned, part), getattr(found, part), atol=1e-3)
 
 
+def test_most_left_out_images_are_placed_nearer_than_is_usual(like: Recording) -> None:
+    appearance = train(drive(like, Room(), SEGMENTS, 1), "ranks").appearance
+    assert appearance is not None
+    calibration = appearance.registration.calibration
+    assert 0.0 < calibration.left_out < calibration.difference
+
+
 @pytest.mark.parametrize("images", [80, pytest.param(10_000, marks=pytest.mark.slow)])
 def test_causes_of_images_as_they_come_are_those_of_the_drive(drawn: Drawn, like: Recording, images: int):
     monitor, clean = drawn

@@ -24,7 +24,9 @@ from deepgps.viewer.connect import find_url, open_viewer
 from deepgps.viewer.drive import ROBOT
 from deepgps.viewer.error_field import PARTS
 from deepgps.viewer.live import LiveDrive, LiveView, show_live
+from deepgps.viewer.own_map import OWN_MAP, log_own_map
 from deepgps.viewer.read import read_entity
+from deepgps.viewer.stream import run_clock
 from sim.errors import InputError, WorkError
 from sim.files.checksums import write_arrays
 from sim.recording.format import chunk_files, open_truth, work_folder
@@ -144,6 +146,20 @@ def test_segments_after_the_last_chunk_that_was_seen_are_whole(tmp_path: Path, e
         stream.disconnect()
     shown = np.concatenate(read_entity(path, "world/drive/path")["LineStrips3D:strips"].drop_null().to_pylist())
     np.testing.assert_allclose(shown[:, :, :2], truth.pose[strips, :2], atol=1e-6)
+
+
+def test_the_own_map_is_laid_where_the_robot_truly_is(tmp_path: Path) -> None:
+    """The robot is at (1, 2), ahead along y; on its map it is at (0.5, 0), ahead along x, with a thing 0.2 m ahead."""
+    view = np.zeros((3, 20), np.uint8)
+    view[1, 14], view[0, 0] = 4, 1
+    chunk = {"view": view, "view_at": np.array((-0.025, -0.075, 0.05)), "view_pose": np.array((0.5, 0.0, 0.0))}
+    with rr.RecordingStream("test") as stream:
+        stream.save(tmp_path / "got.rrd")
+        log_own_map(stream, chunk, np.array((1.0, 2.0, np.pi / 2)), run_clock(np.zeros(1)))
+        stream.disconnect()
+    for name, expected in (("obstacles", (1.0, 2.2)), ("passed", (1.05, 1.5))):
+        (points,) = read_entity(tmp_path / "got.rrd", f"{OWN_MAP}/{name}")["Points3D:positions"].drop_null().to_pylist()
+        np.testing.assert_allclose(np.array(points)[:, :2], [expected], atol=1e-6)
 
 
 HANGING_VIEWER = """

@@ -8,11 +8,12 @@ import torch
 
 from deepgps.config.learning import NetworkSettings
 from deepgps.evaluation.error_field import read_fields
-from deepgps.evaluation.measures import measure_visible
+from deepgps.evaluation.measures import find_seen, measure_visible
 from deepgps.learning.networks import make_network
 from deepgps.positioner.positioner import NetworkPositioner
 from deepgps.studies.reports import maps
-from deepgps.studies.reports.from_runs import add_errors, add_reach, measure_turn_spread
+from deepgps.studies.reports.explore import DONE_SHARE
+from deepgps.studies.reports.from_runs import FLOOR_STRIDE, add_errors, add_explored, add_reach, measure_turn_spread
 from sim.recording.format import open_truth
 
 
@@ -32,6 +33,17 @@ def test_the_columns_of_reach_hold_every_position(finished_run: Path) -> None:
     np.testing.assert_allclose(sorted(maps.pool([row])), sorted(field.error), rtol=1e-6)
     visible = measure_visible(open_truth(finished_run / "recording").free_space, field.truth)
     assert len(row["errors_5_m"]) == (visible >= 0.5).sum()
+
+
+def test_images_needed_are_the_fewest_that_leave_so_little_floor_unseen(finished_run: Path) -> None:
+    row, truth = add_explored(finished_run, {}), open_truth(finished_run / "recording")
+    space, place = truth.free_space, truth.pose[:, :2]
+    floor = space.origin + np.argwhere(space.reachable)[::FLOOR_STRIDE, ::-1] * space.cell_m
+    assert row["unseen_true"] == pytest.approx(1.0 - find_seen(floor, place).mean())
+    for images in {row["images_needed"] - 1, row["images_needed"]} if row["reached"] else {len(place)}:
+        is_enough = 1.0 - find_seen(floor, place[:images]).mean() <= DONE_SHARE
+        assert is_enough == (row["reached"] and images == row["images_needed"])
+    assert row["unseen"] is None
 
 
 def test_places_near_the_truth_are_counted_at_their_worst_heading(tmp_path: Path) -> None:

@@ -9,9 +9,10 @@ from hypothesis import strategies as st
 
 from deepgps.reports.plots import to_png
 from deepgps.studies.catalog import REPORTS
-from deepgps.studies.reports import changes, compare, encoder, maps, paper
+from deepgps.studies.reports import changes, compare, encoder, explore, maps, paper
 from deepgps.studies.reports.diagnose import QUANTITIES
 from deepgps.studies.reports.encoder import FAULTLESS_VALUES, find_strongest, find_sweeps
+from deepgps.studies.reports.explore import HEADINGS, KIND, SEED, UNTIL, compare_with_explore
 from deepgps.studies.reports.pictures import draw
 from deepgps.studies.reports.render import prepare
 from deepgps.studies.reports.report import varied_names, write_report
@@ -412,3 +413,27 @@ def test_what_counts_as_right() -> None:
     assert find_line(text, "both radii alike")[3] == "2", "the scale of turns"
     assert find_line(text, "radius slip", "radius") == ["slip missed", "1"]
     assert find_line(text, "ticks")[-2:] == ["1", "1"]
+
+
+# --- explore, homes
+
+
+def test_images_are_compared_in_one_room_and_what_was_said_with_the_truth():
+    said = {"unseen": 0.004, "unseen_low": 0.001, "unseen_high": 0.01, "unseen_true": 0.006}
+
+    def drive(headings: str, room: int, images: int, until: float | None = None) -> Row:
+        return make_row(1.0) | {HEADINGS: headings, SEED: room, UNTIL: until, "images_needed": images, **said}
+
+    rooms = [drive(name, room, room * count) for room in (1, 2) for name, count in (("map", 300), ("explore", 600))]
+    rows = compare_with_explore([*rooms, drive("map", 1, 250, 0.005), drive("map", 3, 900, 0.005)], [])
+    assert [row["over_explore"] for row in rows] == [0.5, 1.0, 0.5, 1.0, None, None]
+    assert [row["holds"] for row in rows] == [None] * 4 + [True] * 2
+    assert rows[-1]["apart"] == pytest.approx(0.002)
+
+
+def test_rooms_are_driven_by_all_planners_and_by_map_until_it_is_done():
+    compared = [(0, {HEADINGS: name, KIND: "office"}) for name in ("map", "explore")]
+    done = [(0, {HEADINGS: name, KIND: "flat", UNTIL: 0.005}) for name in ("map", "explore")]
+    by_map, by_explore = compared
+    also = (0, {**by_map[1], UNTIL: explore.DONE_SHARE})
+    assert explore.draw_runs({}, [*compared, *done]) == [by_map, also, by_explore, done[0]]
