@@ -1,0 +1,158 @@
+"""The navigator: drives the robot to a goal by its own positions, or refuses the goal.
+
+It plans over driven floor, follows the plan, stops before what its ranges see, rolls back from what it touches, plans
+around both, and turns for another look when it is unsure where it is. It says itself that it has arrived.
+"""
+
+from collections.abc import Callable, Generator
+from typing import NamedTuple
+
+import numpy as np
+
+from deepgps.navigation.follow import MAX_TURN_RPS, REST, Command, Follower
+from deepgps.navigation.position import Source
+from deepgps.navigation.route import Floor
+from sim.geometry import wrap
+
+ARRIVAL_M = 0.03  # The robot has arrived when it is nearer to its goal than this [m]
+REACH_M = 0.5  # How far ahead it looks with its ranges [m]
+STOP_M = 0.06  # It stops this far before what its ranges see [m]
+BLOCK_M = 0.12  # Its middle keeps this far from the middle of what blocked it [m]
+ROLL_BACK_M, ROLL_BACK_MPS = 0.08, 0.08  # How far and how fast it rolls back from a contact [m], [m/s]
+REST_S = 0.2  # How long it rests before a look at rest [s]
+LOOKS, LOOK_RAD = 9, 0.8  # So many looks it takes, turned by so much each, to find where it is [rad]
+MAX_PLANS, MAX_APPROACHES = 12, 4  # So often it plans, and corrects its last step
+PATIENCE_S, PATIENCE_FACTOR = 60.0, 6.0  # A goal is refused after so long, and so many times what driving takes [s]
+CRUISE_MPS = 0.2  # Speed by which it knows how long driving takes [m/s]
+
+
+class Senses(NamedTuple):
+    """What the robot senses now."""
+
+    ticks: np.ndarray  # Cumulative, of the left and right encoder (2,)
+    clear_m: float  # How far it could drive straight ahead before a contact, at most ``REACH_M`` [m]
+    bumped: bool  # Whether something presses against it
+    look: Callable[[], np.ndarray]  # Takes an image
+
+
+class Outcome(NamedTuple):
+    """How a drive to a goal ended."""
+
+    arrived: bool  # The robot says that it has arrived
+    reason: str  # Why the goal was refused, in one line; empty: it was not
+
+
+Steps = Generator[Command]
+
+
+class Navigator:
+    """Drives to goals on a floor, by a source of positions; each period lasts ``period_s`` [s]."""
+
+    def __init__(self, source: Source, floor: Floor, radius_m: float, period_s: float = 0.04) -> None:
+        self.source, self.floor, self._radius_m, self._period_s = source, floor, radius_m, period_s
+        self.outcome: Outcome | None = None  # None: the robot is on its way
+        self.route = np.empty((0, 2))  # The route that it follows (n, 2) [m]
+        self.looked = False  # Whether it took an image in the last step
+
+    def start(self, goal: np.ndarray) -> None:
+        """Set out for a goal (2,) [m] in the method's frame, from wherever the robot stands."""
+        self.outcome, self.route, self._time_s = None, np.empty((0, 2)), 0.0
+        self._limit_s, self._clear = PATIENCE_S, self.floor
+        self._goal = np.asarray(goal, float)
+        self._steps = self._drive()
+
+    def step(self, senses: Senses) -> Command:
+        """What to do for the next period; at rest once there is an outcome."""
+        if self.outcome is not None:
+            return REST
+        self._time_s += self._period_s
+        self.looked = False
+        self._sense(senses)
+        try:
+            command = next(self._steps)
+        except StopIteration:
+            return REST
+        if self._time_s > self._limit_s:
+            self.outcome = Outcome(False, f"not reached in {self._limit_s:.0f} s")
+        return Command(command.speed_mps, self.source.hand * command.turn_rps)
+
+    def _sense(self, senses: Senses) -> None:
+        self._now = senses
+        self.source.move(senses.ticks)
+        if self.source.wants_image():
+            self._look()
+
+    def _look(self) -> None:
+        if not self.looked:
+            self.source.see(self._now.look())
+            self.looked = True
+
+    def _drive(self) -> Steps:
+        """All that is done for a goal; sets the outcome at the end."""
+        approaches = 0
+        for _ in range(MAX_PLANS):
+            yield from self._rest()
+            self._look()
+            if not self.source.is_sure():
+                yield from self._find_itself()
+            if not self.source.is_sure():
+                return self._end(False, f"unsure where it is after {LOOKS} looks around")
+            if self._is_there() and (self.source.is_certain() or approaches >= MAX_APPROACHES):
+                certain = self.source.is_certain()
+                return self._end(certain, "" if certain else "uncertain where it is at the goal")
+            approaches += self._is_there()
+            route = self._clear.plan(self.source.pose()[:2], self._goal)
+            if route is None:
+                return self._end(False, "no way over floor that it has driven")
+            self.route = route
+            way_m = float(np.linalg.norm(np.diff(route, axis=0), axis=1).sum())
+            self._limit_s = max(self._limit_s, self._time_s + PATIENCE_S + PATIENCE_FACTOR * way_m / CRUISE_MPS)
+            yield from self._follow(route)
+        self._end(False, f"not reached with {MAX_PLANS} plans")
+
+    def _end(self, arrived: bool, reason: str) -> None:
+        self.outcome = Outcome(arrived, reason)
+
+    def _is_there(self) -> bool:
+        return bool(np.linalg.norm(self.source.pose()[:2] - self._goal) < ARRIVAL_M)
+
+    def _follow(self, route: np.ndarray) -> Steps:
+        """Follow a route until the robot is there, blocked or unsure."""
+        follower = Follower(route)
+        while True:
+            pose, clear_m = self.source.pose(), self._now.clear_m - STOP_M
+            if self._now.bumped:
+                self._block(pose, 0.0)
+                return (yield from self._roll_back())
+            if self._is_there() or not self.source.is_sure():
+                return
+            command = follower.step(pose, clear_m, self._period_s)
+            if clear_m <= 0.01 and command.speed_mps < 0.02 and abs(command.turn_rps) < 0.3:
+                return self._block(pose, self._now.clear_m)
+            yield command
+
+    def _block(self, pose: np.ndarray, clear_m: float) -> None:
+        """Note that something stands so far ahead of the robot's rim [m]."""
+        ahead = np.array([np.cos(pose[2]), np.sin(pose[2])])
+        self._clear = self._clear.block(pose[:2] + (clear_m + self._radius_m) * ahead, BLOCK_M)
+
+    def _roll_back(self) -> Steps:
+        for _ in range(round(ROLL_BACK_M / ROLL_BACK_MPS / self._period_s)):
+            yield Command(-ROLL_BACK_MPS, 0.0)
+
+    def _rest(self) -> Steps:
+        for _ in range(round(REST_S / self._period_s)):
+            yield REST
+
+    def _find_itself(self) -> Steps:
+        """Turn for one look after another until the robot is sure where it is."""
+        for _ in range(LOOKS):
+            yield from self._turn(LOOK_RAD)
+            yield from self._rest()
+            self._look()
+            if self.source.is_sure():
+                return
+
+    def _turn(self, angle: float) -> Steps:
+        for _ in range(round(abs(wrap(angle)) / MAX_TURN_RPS / self._period_s)):
+            yield Command(0.0, float(np.copysign(MAX_TURN_RPS, angle)))
