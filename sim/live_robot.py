@@ -1,7 +1,9 @@
-"""A robot in its room, sensor by sensor, for a controller from outside: motors in; ticks, ranges, bumper and images out.
+"""A robot in its room, sensor by sensor, for a controller from outside: motors in; ticks, ranges, bumper, images out.
 
 What no robot can sense is apart: ``pose``, ``place``, ``state`` and ``set_state``.
 """
+
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -29,10 +31,8 @@ class LiveRobot:
     def __init__(self, settings: SimSettings) -> None:
         self.settings, self.world = settings, RoomWorld(settings, drawn=False)
         body = self.world.body
-        self.radius_m, self.odometry = (
-            body.radius_m,
-            describe_odometry(settings.encoder, body.wheel_radius_m, body.track_m),
-        )
+        self.radius_m = body.radius_m
+        self.odometry: Mapping[str, float] = describe_odometry(settings.encoder, body.wheel_radius_m, body.track_m)
         self._angle = self._read = np.zeros(2)  # of the wheels, true and by the encoders [rad]
 
     def begin(self, rng: np.random.Generator) -> None:
@@ -41,7 +41,7 @@ class LiveRobot:
         self._develop = make_develop(self.settings.image_faults, noise)
 
     def step(self, speed_mps: float, turn_rate_rps: float) -> None:
-        """Drive at a speed [m/s] and a turn rate to the left [rad/s] for one period; raises WorkError if physics fails."""
+        """Drive at a speed [m/s] and turn to the left [rad/s] for a period; raises WorkError if physics fails."""
         self.world.step(wheel_speeds(speed_mps, turn_rate_rps, self.world.body))
         encoder, angle = self.settings.encoder, np.stack([self._angle, self.world.wheel_angle()])
         seen = scale_wheels(angle, encoder.radius_error_left, encoder.radius_error_right)
@@ -84,7 +84,7 @@ class LiveRobot:
         """All on which what follows depends, but the generator of its noise, as arrays by name."""
         return {"world": self.world.state(), "angle": self._angle, "read": self._read}
 
-    def set_state(self, state: dict[str, np.ndarray]) -> None:
+    def set_state(self, state: Mapping[str, np.ndarray]) -> None:
         """Continue exactly from a state."""
         self.world.set_state(state["world"])
         self._angle, self._read = state["angle"], state["read"]

@@ -1,13 +1,13 @@
-"""A simulated robot drives to goals in a run's own room, by positions of its methods; its drives are scored.
+"""A simulated robot drives to goals in a run's own room, by positions of its methods, and its drives are scored.
 
-The alignments that lead goals to the world are fitted before the drives. The truth of the drives is read afterwards.
+The alignments that lead goals to the world are fitted before the drives; the drives' true poses are read after them.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,9 +16,9 @@ from deepgps.config.scenario import Scenario
 from deepgps.evaluation.stored_alignment import read_alignment
 from deepgps.learning.trainer import use_threads
 from deepgps.navigation.goals import MIN_WAY_M, check_goal, draw_goals
-from deepgps.navigation.route import Floor, lay_floor
-from deepgps.navigation.simulate import TRUTH, WHEELS, Trip, drive_trips, take_from_world
-from deepgps.positioner.stored_positioner import load_positioner
+from deepgps.navigation.route import BORDER, Floor, lay_floor
+from deepgps.navigation.simulate import TRUTH, WHEELS, Trip, drive_trips
+from deepgps.positioner.stored_positioner import INDEX, load_positioner
 from deepgps.runs.owned_folder import hold
 from deepgps.runs.run_folder import RUN, list_trained, open_run
 from deepgps.terminal.progress import Report
@@ -33,223 +33,202 @@ from sim.recording.renderers import Part, Renderers
 from sim.rng import stream
 from sim.settings import DeploymentSettings, SimSettings
 
-FOLDER = "navigate"  # Folder of the drives in a run's folder
-SLIP_PER_M = 0.02  # Slip of the wheels of a run without any, after a metre [m]
-CARRY_GOALS, CHANGED_GOALS = 10, 10  # Before every such goal the robot is carried; every such one is in a changed room
-CHANGED_PHASE = 5  # Number of the first goal in a changed room
-DIMMED_LIGHT, MOVED_M = 0.7, 0.3  # Light of another day, of that in training; how far small furniture was moved [m]
-LATE_GOALS = 20  # Goals after so many, at which dead reckoning is lost
-NEAR_M, USEFUL_M = 0.1, 0.2  # Final distances of a success [m]
+FOLDER, METRICS = "navigate", "metrics.json"  # Folder of the drives in a run's folder, and the file of their figures
+SLIP_PER_M = 0.02  # Slip of wheels whose run has none, after a metre [m]
+CARRY_GOALS = 10  # Before every such goal the robot is carried elsewhere
+CHANGED_GOALS, CHANGED_PHASE = 10, 5  # Every such goal, from one on, is in a changed room
+DIMMED_LIGHT, MOVED_M = 0.7, 0.3  # Light of another day, over that in training; how far small furniture was moved [m]
+LATE_GOALS = 20  # Goals after which dead reckoning is lost
+NEAR_M, USEFUL_M = 0.1, 0.2  # Largest final distances of a success [m]
+CARRY_TRIES = 200  # Places of the drive among which the one is chosen to which the robot is carried
 START_S = 20.0  # How long a worker may take to build a room and load a method [s]
+
+
+class Order(NamedTuple):
+    """What drives are made."""
+
+    goals: int  # Number of goals
+    methods: tuple[str, ...] = ()  # Sources of positions; none: the run's first method, dead reckoning and the truth
+    changes: bool = False  # Whether the light differs from training and, in a tenth of the drives, the room
+    to: tuple[float, float] | None = None  # The only goal [m]; None: goals are drawn
+    in_world: bool = True  # Whether that one is in the world's frame, not in the first method's own
 
 
 @dataclass(frozen=True)
 class Driven:
-    """Drives to goals, of each source of positions by its name."""
+    """Drives to goals by each source of positions."""
 
+    folder: Path  # Where their files are
     trips: Mapping[str, Trip]
-    logs: Mapping[str, dict[str, np.ndarray]]  # Arrays of the drives' logs
-    figures: dict[str, Any]  # Contents of ``navigate/metrics.json``
+    logs: Mapping[str, Mapping[str, np.ndarray]]  # Arrays of the drives' logs
+    figures: Mapping[str, Any]  # Figures of each source, as in ``navigate/metrics.json``
 
 
-def navigate_run(
-    run: Path,
-    goals: int,
-    methods: Sequence[str],
-    changes: bool,
-    progress: Report,
-    to: tuple[float, float] | None = None,
-    in_world: bool = True,
-) -> Driven:
+def navigate_run(run: Path, order: Order, progress: Report) -> Driven:
     """Drive to goals by each method, and write ``navigate/metrics.json`` and a log of each method's drives.
 
-    By default the methods are the first of the run, dead reckoning and the true pose. With ``to``, a place in the
-    world's frame or the first method's own, that one is the only goal, and no figures are written. Raises InputError if
-    the folder is no run of a simulated robot with a camera, has no map, or the goal is not on driven floor.
+    What was driven before is not driven again. With ``to``, no figures are written. Raises InputError if the folder is
+    no run of a simulated robot with a camera, has no such method, or the goal is not on driven floor.
     """
     scenario = open_run(run)
     with hold(run, RUN, "the run"):
         recording = _open_simulated(run)
-        trips = _plan(run, scenario, recording, goals, methods, changes, (to, in_world))
+        trips = plan_trips(run, scenario, recording, order)
         logs = _drive(trips, run / FOLDER, progress)
         space = open_truth(recording.folder).free_space
         figures = {name: score(logs[name], trip, space) for name, trip in trips.items()}
-        if to is None:
-            write_json(run / FOLDER / "metrics.json", {"goals": goals, "changes": changes, "methods": figures})
-    return Driven(trips, logs, figures)
+        if order.to is None:
+            head = {"goals": order.goals, "changes": order.changes}
+            write_json(run / FOLDER / METRICS, {**head, "methods": figures})
+    return Driven(run / FOLDER, trips, logs, figures)
 
 
 def _open_simulated(run: Path) -> Recording:
     recording = open_recording(run / "recording")
     if recording.manifest.source != "simulator":
         raise InputError(f"{run} has learned from a robot's log: there is no simulated robot to drive")
-    if recording.kind != "polar_image" or recording.manifest.settings.get("world", "room") != "room":
-        raise InputError(
-            f"{run} has learned from observations of kind {recording.kind}: only a robot with a camera drives"
-        )
+    if recording.kind != "polar_image":
+        raise InputError(f"{run} has learned from observations of kind {recording.kind}: only a camera shows the way")
     return recording
 
 
-def _plan(
-    run: Path,
-    scenario: Scenario,
-    recording: Recording,
-    count: int,
-    methods: Sequence[str],
-    changes: bool,
-    to: tuple[tuple[float, float] | None, bool],
-) -> dict[str, Trip]:
-    """A trip of each method, to the same goals and from the same places."""
-    trained = list_trained(run)
-    own = [name for name in scenario.methods if name in trained]
-    if not own:
+def plan_trips(run: Path, scenario: Scenario, recording: Recording, order: Order) -> dict[str, Trip]:
+    """A trip of each source, to the same goals, from the same places."""
+    trained = [name for name in scenario.methods if name in list_trained(run)]
+    names = order.methods or (*trained[:1], WHEELS, TRUTH)
+    if not trained:
         raise InputError(f"{run} holds no trained method, so it has no map to drive by")
-    names = list(methods) or [own[0], WHEELS, TRUTH]
-    if unknown := [name for name in names if name not in (*own, WHEELS, TRUTH)]:
-        raise InputError(f"--methods {quote(unknown[0])}: {run} has {', '.join((*own, WHEELS, TRUTH))}")
-    main = next((name for name in names if name in own), own[0])
-    alignments = {name: read_alignment(folder_of(run, name)) for name in {main, *names} - {WHEELS, TRUTH}}
-    floors = {name: _lay(recording, folder_of(run, name)) for name in alignments}
-    place, floor, home = to[0], floors[main], alignments[main]
-    if place is None:
-        goals = draw_goals(floor, scenario.seed, count)
+    if wrong := [name for name in names if name not in (*trained, WHEELS, TRUTH)]:
+        raise InputError(f"--methods {quote(wrong[0])}: {run} has {', '.join((*trained, WHEELS, TRUTH))}")
+    main = next((name for name in names if name in trained), trained[0])
+    used, floors, alignments = {main, *names} - {WHEELS, TRUTH}, dict[str, Floor](), dict[str, Alignment]()
+    for name in used:
+        alignments[name] = read_alignment(folder_of(run, name))
+        with use_threads(1):
+            places = load_positioner(folder_of(run, name)).locate_training(recording.observation)
+        floors[name] = lay_floor(recording, places)
+    floor, home = floors[main], alignments[main]
+    if order.to is None:
+        goals = home.apply(draw_goals(floor, scenario.seed, order.goals))
     else:
-        own_place = np.array(place) if not to[1] else take_from_world(home, np.array([*place, 0.0]))[:2]
-        check_goal(floor, own_place, f"--to {place[0]:g} {place[1]:g}")
-        goals = own_place[None]
-    in_world = home.apply(goals)
-    settings = _set_slip(read_settings(recording.manifest))
+        goals = np.array([order.to]) if order.in_world else home.apply(np.array([order.to]))
+        check_goal(floor, home.invert().apply(goals[0]), f"--to {order.to[0]:g} {order.to[1]:g}")
     placed = _place(recording, floor, home, goals, scenario.seed)
-    changed = _list_changed(settings, len(goals)) if changes and place is None else {}
-    trips = {}
-    for name in names:
-        frame = name if name in alignments else main
-        there = np.array([take_from_world(alignments[frame], np.array([*one, 0.0]))[:2] for one in in_world])
-        parts = run / FOLDER / "parts"
-        trips[name] = Trip(
-            name, folder_of(run, frame), floors[frame], there, placed, alignments[frame],
-            changed.get(-1, settings), changed, scenario.seed, parts,
-        )  # fmt: skip
-    return trips
+    settings, changed = _choose_settings(read_settings(recording.manifest), order)
+    own = {name: name if name in used else main for name in names}
+    return {
+        name: Trip(
+            name=name,
+            folder=folder_of(run, own[name]),
+            floor=floors[own[name]],
+            goals=alignments[own[name]].invert().apply(goals),
+            placed=placed,
+            alignment=alignments[own[name]],
+            settings=settings,
+            changed=changed,
+            seed=scenario.seed,
+            parts=run / FOLDER / "parts",
+        )
+        for name in names
+    }
 
 
-def _lay(recording: Recording, folder: Path) -> Floor:
-    with use_threads(1):
-        return lay_floor(recording, load_positioner(folder).locate_training(recording.observation))
-
-
-def _set_slip(settings: SimSettings) -> SimSettings:
-    """The settings of the drives: the room as in training, and wheels that slip."""
-    encoder = settings.encoder
-    encoder = encoder.model_copy(update={"slip_per_m": encoder.slip_per_m or SLIP_PER_M})
-    return settings.model_copy(update={"encoder": encoder, "deployment": DeploymentSettings()})
-
-
-def _list_changed(settings: SimSettings, count: int) -> dict[int, SimSettings]:
-    """Settings of goals in a changed room by their numbers, and as -1 those of all others, in other light."""
-    light = settings.model_copy(update={"deployment": DeploymentSettings(light=DIMMED_LIGHT)})
-    moved = DeploymentSettings(light=DIMMED_LIGHT, moved_m=MOVED_M, person=1)
-    changed = settings.model_copy(update={"deployment": moved})
-    return {-1: light} | dict.fromkeys(range(CHANGED_PHASE, count, CHANGED_GOALS), changed)
+def _choose_settings(settings: SimSettings, order: Order) -> tuple[SimSettings, dict[int, SimSettings]]:
+    """Settings of the drives, whose wheels slip, and those of goals in a changed room, by their numbers."""
+    encoder = settings.encoder.model_copy(update={"slip_per_m": settings.encoder.slip_per_m or SLIP_PER_M})
+    usual = DeploymentSettings(light=DIMMED_LIGHT) if order.changes else DeploymentSettings()
+    moved = usual.model_copy(update={"moved_m": MOVED_M, "person": 1})
+    usual, moved = (settings.model_copy(update={"encoder": encoder, "deployment": one}) for one in (usual, moved))
+    return usual, dict.fromkeys(range(CHANGED_PHASE, order.goals, CHANGED_GOALS), moved) if order.changes else {}
 
 
 def _place(recording: Recording, floor: Floor, home: Alignment, goals: np.ndarray, seed: int) -> np.ndarray:
-    """True poses (G, 3) at which the robot is put before goals: at places of the drive, far enough from the goal."""
-    pose, placed, rng = open_truth(recording.folder).pose, np.full((len(goals), 3), np.nan), stream(seed, "carried")
+    """True poses (G, 3) at which the robot is put before goals (G, 2): at places of its drive, far enough from them.
+
+    NaN: it goes on from where it is. The floor is in the frame that an alignment leads to the world.
+    """
+    truth, placed, rng = open_truth(recording.folder).pose, np.full((len(goals), 3), np.nan), stream(seed, "carried")
+    own, there = home.invert().apply(truth[:, :2]), home.invert().apply(goals)
     for number in range(0, len(goals), CARRY_GOALS):
-        cell = floor.find(goals[number])
-        far = floor.ways(cell)[0] if cell is not None else np.zeros(floor.free.shape)
-        some = pose[rng.permutation(len(pose))[:200]]
-        starts = [floor.find(take_from_world(home, one)[:2]) for one in some]
-        ways = np.array([0.0 if start is None else far[tuple(start)] for start in starts])
+        goal, tried = floor.find(there[number]), rng.integers(len(truth), size=CARRY_TRIES)
+        cells = [floor.find(own[one]) for one in tried]
+        far = np.zeros(floor.free.shape) if goal is None else floor.ways(goal)[0]
+        ways = np.array([0.0 if cell is None else far[tuple(cell)] for cell in cells])
         ways[~np.isfinite(ways)] = 0.0
-        chosen = int(np.flatnonzero(ways >= min(MIN_WAY_M, ways.max()))[0])
-        placed[number] = *some[chosen, :2], rng.uniform(-np.pi, np.pi)
+        chosen = tried[np.flatnonzero(ways >= min(MIN_WAY_M, ways.max()))[0]]
+        placed[number] = *truth[chosen, :2], rng.uniform(-np.pi, np.pi)
     return placed
 
 
 def _drive(trips: Mapping[str, Trip], folder: Path, progress: Report) -> dict[str, dict[str, np.ndarray]]:
     """Drive what is not driven yet; returns the logs by method."""
-    parts = next(iter(trips.values())).parts
-    parts.mkdir(parents=True, exist_ok=True)
-    _keep_same(trips, parts)
+    folder.mkdir(parents=True, exist_ok=True)
     total, settings = sum(len(trip.goals) for trip in trips.values()), next(iter(trips.values())).settings
 
     def tell(_: int = 0) -> None:
         done = sum(trip.file(number).is_file() for trip in trips.values() for number in range(len(trip.goals)))
         progress("navigate", done, total)
 
-    tell()
-    draw: Callable[..., None] = partial(drive_trips, dict(trips))
-    with Renderers(draw, min(len(trips), usable_cores()), START_S) as workers:
-        for name in trips:
-            (folder / f"{name}.npz").unlink(missing_ok=True)
+    with Renderers(partial(drive_trips, dict(trips)), min(len(trips), usable_cores()), START_S) as workers:
+        for name, trip in trips.items():
+            keep_same(trip)
             workers.give(Part(settings, np.empty((0, 0)), folder / f"{name}.npz"))
         workers.finish(tell)
     return {name: read_arrays(folder / f"{name}.npz") for name in trips}
 
 
-def _keep_same(trips: Mapping[str, Trip], parts: Path) -> None:
-    """Remove files of goals that belong to other drives than these."""
-    for name, trip in trips.items():
-        trained = sha256(trip.folder / "positioner.json")
-        for number, goal in enumerate(trip.goals):
-            changed = trip.changed.get(number, trip.settings).model_dump_json()
-            now = {"method": trained, "goal": goal.tolist(), "settings": changed}
-            path = parts / f"{name}-{number:04d}.json"
-            try:
-                same = read_json(path) == now
-            except DamagedError:
-                same = False
-            if not same:
-                for late in parts.glob(f"{name}-*"):
-                    if int(late.stem.rpartition("-")[2]) >= number:
-                        late.unlink()
-                write_json(path, now)
+def keep_same(trip: Trip) -> None:
+    """Remove the files of goals that belong to other drives, or follow one that does."""
+    trip.parts.mkdir(parents=True, exist_ok=True)
+    trained = sha256(trip.folder / INDEX)
+    for number, goal in enumerate(trip.goals):
+        settings = trip.changed.get(number, trip.settings).model_dump(mode="json")
+        order = {"method": trained, "goal": goal.tolist(), "settings": settings}
+        path = trip.file(number).with_suffix(".json")
+        try:
+            same = read_json(path) == order
+        except DamagedError:
+            same = False
+        if not same:
+            for late in range(number, len(trip.goals)):
+                trip.file(late).unlink(missing_ok=True)
+            write_json(path, order)
 
 
-def score(log: Mapping[str, np.ndarray], trip: Trip, space: FreeSpace) -> dict[str, Any]:
-    """Figures of a method's drives to G goals, by the true poses of its log and the goals' true places."""
-    rows = [np.flatnonzero(log["row_goal"] == number) for number in range(len(trip.goals))]
-    goal, floor = trip.alignment.apply(trip.goals), Floor(space.origin, space.cell_m, space.reachable)
-    final_m = np.array(
-        [np.linalg.norm(log["true"][row[-1], :2] - place) for row, place in zip(rows, goal, strict=True)]
-    )
-    driven_m = np.array([np.linalg.norm(np.diff(log["true"][row, :2], axis=0), axis=1).sum() for row in rows])
-    ways_m = np.array(
-        [_measure_way(floor, log["true"][row[0], :2], place) for row, place in zip(rows, goal, strict=True)]
-    )
-    arrived, carried = log["arrived"], np.isfinite(trip.placed[:, 0])
-    changed = np.isin(np.arange(len(goal)), list(trip.changed))
-    near, useful = arrived & (final_m < NEAR_M), arrived & (final_m < USEFUL_M)
-    carried[0] = False  # where it starts
-    efficiency = np.where(useful, ways_m / np.maximum(np.maximum(ways_m, driven_m), 1e-9), 0.0)
+def score(log: Mapping[str, np.ndarray], trip: Trip, space: FreeSpace) -> dict[str, float]:
+    """Figures of drives to G goals, by the true poses in their log and the true places of the goals."""
+    goal, carried, changed = trip.alignment.apply(trip.goals), np.isfinite(trip.placed[:, 0]), np.zeros(len(trip.goals))
+    floor = Floor(space.origin - BORDER * space.cell_m, space.cell_m, np.pad(space.reachable, BORDER))
+    carried[0], changed[list(trip.changed)] = False, True  # the first is where it starts
+    drives = [log["true"][log["row_goal"] == number, :2] for number in range(len(goal))]
+    final_m = np.array([np.linalg.norm(drive[-1] - place) for drive, place in zip(drives, goal, strict=True)])
+    driven_m = np.array([np.linalg.norm(np.diff(drive, axis=0), axis=1).sum() for drive in drives])
+    ways_m = np.array([measure_way(floor, drive[0], place) for drive, place in zip(drives, goal, strict=True)])
+    near, useful = (log["arrived"] & (final_m < limit_m) for limit_m in (NEAR_M, USEFUL_M))
     figures = {
-        "success_0_1m": near.mean(),  # Share of goals where the robot said that it arrived, and was so near
-        "success_0_2m": useful.mean(),  # The same at 0.2 m
-        "spl": efficiency.mean(),  # Success at 0.2 m weighted by shortest way over driven way (Anderson et al., 2018)
+        "success_0_1m": near.mean(),  # Share of goals at which the robot said that it had arrived, and was so near
+        "success_0_2m": useful.mean(),  # The same within 0.2 m
+        # Success at 0.2 m, weighted by the shortest way over the driven one (Anderson et al., arXiv:1807.06757)
+        "spl": (useful * ways_m / np.maximum(ways_m, driven_m)).mean(),
         "collisions_per_run": log["contacts"].mean(),  # Contacts on the way to a goal
         "runs_without_collision": (log["contacts"] == 0).mean(),  # Share of goals without a contact
-        "final_distance_median_m": np.median(final_m),  # Distance from the goal at the end [m]
-        "final_distance_p95_m": np.percentile(final_m, 95.0),  # Distance from the goal at the end [m]
-        "refused": (~arrived).mean(),  # Share of goals that the robot refused
-        "time_s": np.mean([log["time_s"][row[-1]] for row in rows]),  # Mean time to the end [s]
-        "driven_m": driven_m.mean(),  # Mean way driven [m]
+        "final_distance_median_m": np.median(final_m),  # From the goal, of all drives [m]
+        "final_distance_p95_m": np.percentile(final_m, 95.0),  # From the goal, of all drives [m]
+        "refused": (~log["arrived"]).mean(),  # Share of goals that the robot refused
+        "time_s": np.mean([log["time_s"][log["row_goal"] == number][-1] for number in range(len(goal))]),  # To the end
+        "driven_m": driven_m.mean(),  # Way driven to a goal [m]
     }
     for name, some, success in (
-        ("carried_success_0_2m", carried, useful),
-        ("changed_success_0_2m", changed, useful),
-        ("late_success_0_1m", np.arange(len(goal)) >= LATE_GOALS, near),
+        ("carried_success_0_2m", carried, useful),  # After the robot was carried elsewhere
+        ("changed_success_0_2m", changed > 0, useful),  # With furniture moved and a person
+        ("late_success_0_1m", np.arange(len(goal)) >= LATE_GOALS, near),  # Of all goals after so many
     ):
-        if some.any():
-            figures[name] = success[some].mean()
+        figures |= {name: success[some].mean()} if some.any() else {}
     return {name: float(value) for name, value in figures.items()}
 
 
-def _measure_way(floor: Floor, start: np.ndarray, goal: np.ndarray) -> float:
-    """Shortest way [m] over true free floor; the straight line where a place is not on it."""
-    straight, cells = float(np.linalg.norm(goal - start)), (floor.find(start), floor.find(goal))
-    if cells[0] is None or cells[1] is None:
-        return straight
-    far = float(floor.ways(cells[0])[0][tuple(cells[1])])
-    return max(straight, far) if np.isfinite(far) else straight
+def measure_way(floor: Floor, start: np.ndarray, goal: np.ndarray) -> float:
+    """Shortest way [m] between two places (2,) over a floor; the straight line where it has none."""
+    straight_m, cells = float(np.linalg.norm(goal - start)), (floor.find(start), floor.find(goal))
+    way_m = np.inf if cells[0] is None or cells[1] is None else float(floor.ways(cells[0])[0][tuple(cells[1])])
+    return max(way_m, straight_m) if np.isfinite(way_m) else straight_m

@@ -1,4 +1,7 @@
-"""The follower: pure pursuit of a route (Coulter, "Implementation of the pure pursuit path tracking algorithm", 1992)."""
+"""The follower: pure pursuit of a route.
+
+R. C. Coulter, "Implementation of the pure pursuit path tracking algorithm", CMU-RI-TR-92-01, 1992.
+"""
 
 from typing import NamedTuple
 

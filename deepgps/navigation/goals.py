@@ -11,7 +11,7 @@ MIN_EDGE_M = 0.06  # Least distance of a goal from the edge of the driven floor 
 
 
 def draw_goals(floor: Floor, seed: int, count: int) -> np.ndarray:
-    """Goals (count, 2) [m], each at least ``MIN_WAY_M`` by way over the floor from the one before, or else the farthest.
+    """Goals (count, 2) [m], each at least ``MIN_WAY_M`` over the floor from the one before, or else the farthest.
 
     The first of more goals are those of fewer. Raises InputError if the floor has no place for a goal.
     """
@@ -29,7 +29,7 @@ def draw_goals(floor: Floor, seed: int, count: int) -> np.ndarray:
 
 
 def check_goal(floor: Floor, goal: np.ndarray, name: str) -> None:
-    """Raise InputError if a goal (2,) [m] is not on the floor that the robot has driven; the name is for the message."""
+    """Raise InputError, with a name for the goal (2,) [m], if it is not on the floor that the robot has driven."""
     if not np.isfinite(goal).all():
         raise InputError(f"{name}: a goal is two finite numbers, X and Y [m]")
     cells = floor.places(np.argwhere(floor.free))

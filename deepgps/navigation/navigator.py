@@ -23,6 +23,7 @@ REST_S = 0.2  # How long it rests before a look at rest [s]
 LOOKS, LOOK_RAD = 9, 0.8  # So many looks it takes, turned by so much each, to find where it is [rad]
 MAX_PLANS, MAX_APPROACHES = 12, 4  # So often it plans, and corrects its last step
 PATIENCE_S, PATIENCE_FACTOR = 60.0, 6.0  # A goal is refused after so long, and so many times what driving takes [s]
+RADIUS_M = 0.105  # Radius of the testbed's own robot [m]
 CRUISE_MPS = 0.2  # Speed by which it knows how long driving takes [m/s]
 
 
@@ -48,7 +49,7 @@ Steps = Generator[Command]
 class Navigator:
     """Drives to goals on a floor, by a source of positions; each period lasts ``period_s`` [s]."""
 
-    def __init__(self, source: Source, floor: Floor, radius_m: float, period_s: float = 0.04) -> None:
+    def __init__(self, source: Source, floor: Floor, radius_m: float = RADIUS_M, period_s: float = 0.04) -> None:
         self.source, self.floor, self._radius_m, self._period_s = source, floor, radius_m, period_s
         self.outcome: Outcome | None = None  # None: the robot is on its way
         self.route = np.empty((0, 2))  # The route that it follows (n, 2) [m]

@@ -13,12 +13,11 @@ import numpy as np
 
 from deepgps.learning.trainer import use_threads
 from deepgps.navigation.navigator import REACH_M, Navigator, Senses
-from deepgps.navigation.position import Given, Reckoned, Source, Tracked
+from deepgps.navigation.position import Reckoned, Source, Told, Tracked
 from deepgps.navigation.route import Floor
 from deepgps.positioner.stored_positioner import load_positioner
 from sim.alignment import Alignment
 from sim.files.checksums import read_arrays, write_arrays
-from sim.geometry import wrap
 from sim.recording.renderers import Part
 from sim.rng import stream
 from sim.settings import SimSettings
@@ -26,6 +25,10 @@ from sim.settings import SimSettings
 WHEELS, TRUTH = "dead_reckoning", "truth"  # Sources of positions that are no trained methods
 LOG_STEPS = 5  # Control periods between two rows of a drive's log
 CONTACT_STEPS = 25  # Control periods after a contact in which another one is the same
+IMAGE_GOALS = 5  # Goals whose images are kept for people
+Beat = Callable[[], None]  # Signals that the work continues
+KINDS = {"time_s": "row", "image_time_s": "image", "route": "route"}
+"""Parts of a log, by the first array of each: the number of its goal is in ``<part>_goal``."""
 
 
 class Robot(Protocol):
@@ -68,7 +71,7 @@ class Trip:
         return self.parts / f"{self.name}-{number:04d}.npz"
 
 
-def drive_trips(trips: Mapping[str, Trip], part: Part, beat: Callable[[], None]) -> None:
+def drive_trips(trips: Mapping[str, Trip], part: Part, beat: Beat) -> None:
     """Run in a worker: drive to all goals of the trip that a part's file names, from the last finished goal on."""
     from sim.live_robot import LiveRobot
 
@@ -78,7 +81,7 @@ def drive_trips(trips: Mapping[str, Trip], part: Part, beat: Callable[[], None])
     write_arrays(part.path, join(trip))
 
 
-def drive_trip(trip: Trip, make_robot: Callable[[SimSettings], Robot], beat: Callable[[], None]) -> None:
+def drive_trip(trip: Trip, make_robot: Callable[[SimSettings], Robot], beat: Beat) -> None:
     """Drive to all goals of a trip; files of goals that exist are read."""
     robots: dict[SimSettings, Robot] = {}
     before: dict[str, np.ndarray] | None = None
@@ -94,7 +97,7 @@ def drive_trip(trip: Trip, make_robot: Callable[[SimSettings], Robot], beat: Cal
         start = trip.placed[number] if np.isfinite(trip.placed[number, 0]) else usual.pose()
         robot = robot if robot.is_free(start[:2]) else usual  # where a piece was moved to, the robot cannot stand
         navigator = _prepare(trip, number, robot, before)
-        before = drive_goal(navigator, robot, trip.goals[number], beat)
+        before = drive_goal(navigator, robot, trip.goals[number], beat, number < IMAGE_GOALS)
         write_arrays(trip.file(number), before)
 
 
@@ -114,76 +117,76 @@ def _prepare(trip: Trip, number: int, robot: Robot, before: Mapping[str, np.ndar
 def make_source(trip: Trip, robot: Robot) -> Source:
     """The source of positions of a trip, for a robot at its start."""
 
+    back, hand = trip.alignment.invert(), int(np.sign(np.linalg.det(trip.alignment.rotation)))
+
     def find() -> np.ndarray:
-        return take_from_world(trip.alignment, robot.pose())
+        x, y, yaw = robot.pose()
+        return np.array([*back.apply(np.array([x, y])), back.turn(yaw)])
 
     if trip.name == TRUTH:
-        return Given(find, int(np.sign(np.linalg.det(trip.alignment.rotation))))
+        return Told(find, hand)
     if trip.name == WHEELS:
-        return Reckoned(robot.odometry, find(), int(np.sign(np.linalg.det(trip.alignment.rotation))))
+        return Reckoned(robot.odometry, find(), hand)
     return Tracked(_load(trip.folder), robot.odometry, trip.name)
 
 
 _load = lru_cache(maxsize=1)(load_positioner)
 
 
-def take_from_world(alignment: Alignment, pose: np.ndarray) -> np.ndarray:
-    """A pose (3,) in the frame that an alignment leads from, by that in the world's."""
-    ahead = alignment.rotation.T @ np.array([np.cos(pose[2]), np.sin(pose[2])])
-    place = alignment.rotation.T @ (pose[:2] - alignment.translation)
-    return np.array([*place, np.arctan2(ahead[1], ahead[0])])
-
-
 def drive_goal(
-    navigator: Navigator, robot: Robot, goal: np.ndarray, beat: Callable[[], None] = lambda: None
+    navigator: Navigator, robot: Robot, goal: np.ndarray, beat: Beat = lambda: None, keep_images: bool = False
 ) -> dict[str, np.ndarray]:
     """Drive to a goal (2,) [m]; returns the log of the drive, how it ended and the state after it, as arrays by name.
 
-    Rows of the log (T): time [s], true and estimated pose (T, 3), covariance of the position (T, 2, 2), and whether
-    an image was taken since the row before.
+    Rows of the log (T): time [s], true and estimated pose (T, 3), and covariance of the position (T, 2, 2) [m^2]. Images
+    are kept on demand.
     """
+    rows, seen, routes = list[tuple[Any, ...]](), list[tuple[float, np.ndarray]](), [np.empty((0, 2))]
+    number, contacts, contact = 0, 0, -CONTACT_STEPS
+    source = navigator.source
+
+    def look() -> np.ndarray:
+        image = robot.image()
+        if keep_images:
+            seen.append((number * robot.period_s, image))
+        return image
+
     navigator.start(goal)
-    rows, images, contacts, last_contact, number = list[tuple[Any, ...]](), False, 0, -CONTACT_STEPS, 0
-    routes = [navigator.route]
     while navigator.outcome is None:
         beat()
-        bumped = robot.bumped()
-        if bumped:
-            contacts, last_contact = contacts + (number - last_contact >= CONTACT_STEPS), number
-        command = navigator.step(Senses(robot.ticks(), robot.clear_m(REACH_M), bumped, robot.image))
-        images |= navigator.looked
+        if bumped := robot.bumped():
+            contacts, contact = contacts + (number - contact >= CONTACT_STEPS), number
+        command = navigator.step(Senses(robot.ticks(), robot.clear_m(REACH_M), bumped, look))
         if number % LOG_STEPS == 0 or navigator.outcome is not None:
-            source = navigator.source
-            rows.append((number * robot.period_s, robot.pose(), source.pose(), source.covariance(), images))
-            images = False
+            rows.append((number * robot.period_s, robot.pose(), source.pose(), source.covariance()))
         if navigator.route is not routes[-1]:
             routes.append(navigator.route)
         robot.step(*command)
         number += 1
-    time_s, true, estimated, covariance, looked = (np.array(part) for part in zip(*rows, strict=True))
+    time_s, true, estimated, covariance = (np.array(part) for part in zip(*rows, strict=True))
     return {
-        "goal": np.asarray(goal),
         "time_s": time_s,
         "true": true,
-        "estimated": np.column_stack([estimated[:, :2], wrap(estimated[:, 2])]),
+        "estimated": estimated,
         "covariance": covariance,
-        "looked": looked,
+        "image_time_s": np.array([time_s for time_s, _ in seen]),
+        "image": np.array([image for _, image in seen], np.uint8),
         "route": np.concatenate(routes),
         "arrived": np.array(navigator.outcome.arrived),
         "reason": np.array(navigator.outcome.reason),
         "contacts": np.array(contacts),
         **{f"robot/{name}": part for name, part in robot.state().items()},
-        **{f"source/{name}": part for name, part in navigator.source.pack().items()},
+        **{f"source/{name}": part for name, part in source.pack().items()},
     }
 
 
 def join(trip: Trip) -> dict[str, np.ndarray]:
     """The logs of all goals of a trip as arrays by name: rows with the number of their goal, and one row a goal."""
     goals = [read_arrays(trip.file(number)) for number in range(len(trip.goals))]
-    logged, each = ("time_s", "true", "estimated", "covariance", "looked"), ("goal", "arrived", "reason", "contacts")
-    numbers = {
-        name: np.repeat(np.arange(len(goals)), [len(one[part]) for one in goals])
-        for name, part in (("row_goal", "time_s"), ("route_goal", "route"))
-    }
-    joined = {name: np.concatenate([one[name] for one in goals]) for name in (*logged, "route")}
-    return {**numbers, **joined, **{name: np.stack([one[name] for one in goals]) for name in each}}
+    joined = {"goal": trip.goals}
+    for first, others in (("time_s", ("true", "estimated", "covariance")), ("image_time_s", ("image",)), ("route", ())):
+        kept = [(number, one) for number, one in enumerate(goals) if len(one[first])]
+        joined[f"{KINDS[first]}_goal"] = np.repeat([number for number, _ in kept], [len(one[first]) for _, one in kept])
+        for name in (first, *others):
+            joined[name] = np.concatenate([one[name] for _, one in kept] or [goals[0][name]])
+    return joined | {name: np.stack([one[name] for one in goals]) for name in ("arrived", "reason", "contacts")}
