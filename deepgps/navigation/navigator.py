@@ -16,8 +16,9 @@ from sim.geometry import wrap
 
 ARRIVAL_M = 0.03  # The robot has arrived when it is nearer to its goal than this [m]
 REACH_M = 0.5  # How far ahead it looks with its ranges [m]
-STOP_M = 0.06  # It stops this far before what its ranges see [m]
-BLOCK_M = 0.12  # Its middle keeps this far from the middle of what blocked it [m]
+STOP_M = 0.03  # It stops this far before what its ranges see [m]
+BLOCK_M = 0.1  # Its middle keeps this far from what blocked it twice, or what it touched [m]
+AGAIN_M = 0.15  # It is blocked again if its middle is nearer than this to where it was blocked [m]
 ROLL_BACK_M, ROLL_BACK_MPS = 0.08, 0.08  # How far and how fast it rolls back from a contact [m], [m/s]
 REST_S = 0.2  # How long it rests before a look at rest [s]
 LOOKS, LOOK_RAD = 9, 0.8  # So many looks it takes, turned by so much each, to find where it is [rad]
@@ -58,7 +59,7 @@ class Navigator:
     def start(self, goal: np.ndarray) -> None:
         """Set out for a goal (2,) [m] in the method's frame, from wherever the robot stands."""
         self.outcome, self.route, self._time_s = None, np.empty((0, 2)), 0.0
-        self._limit_s, self._clear = PATIENCE_S, self.floor
+        self._limit_s, self._clear, self._blocked = PATIENCE_S, self.floor, list[np.ndarray]()
         self._goal = np.asarray(goal, float)
         self._steps = self._drive()
 
@@ -119,7 +120,7 @@ class Navigator:
 
     def _follow(self, route: np.ndarray) -> Steps:
         """Follow a route until the robot is there, blocked or unsure."""
-        follower = Follower(route)
+        follower = Follower(route, self._clear.measure_edge(route))
         while True:
             pose, clear_m = self.source.pose(), self._now.clear_m - STOP_M
             if self._now.bumped:
@@ -129,7 +130,10 @@ class Navigator:
                 return
             command = follower.step(pose, clear_m, self._period_s)
             if clear_m <= 0.01 and command.speed_mps < 0.02 and abs(command.turn_rps) < 0.3:
-                return self._block(pose, self._now.clear_m)
+                if any(np.linalg.norm(place - pose[:2]) < AGAIN_M for place in self._blocked):
+                    self._block(pose, self._now.clear_m)
+                self._blocked.append(pose[:2])
+                return (yield from self._roll_back())
             yield command
 
     def _block(self, pose: np.ndarray, clear_m: float) -> None:

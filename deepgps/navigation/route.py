@@ -15,7 +15,7 @@ from deepgps.data.segments import travel
 from sim.recording.format import Recording
 
 CELL_M = 0.05  # Side of a cell [m]
-DRIVEN_M = 0.08  # Floor this near to the line that the robot's middle has driven counts as driven [m]
+DRIVEN_M = 0.06  # Floor this near to the line that the robot's middle has driven counts as driven [m]
 MAX_DIFFERENCE_M = 0.1  # Of two images' distance by the map and by the wheels, beyond which the map is wrong there [m]
 EDGE_M, EDGE_COST = 0.25, 4.0  # Nearer than this to the edge, a metre costs up to so many more [m]
 REACH_M = 0.4  # A place this near to driven floor can be left or reached [m]
@@ -54,6 +54,11 @@ class Floor:
         cells = np.rint((places - self.corner_m) / self.cell_m).astype(int)[:, ::-1]
         inside = np.all((cells >= 0) & (cells < self.free.shape), axis=1)
         return inside & self.free[tuple(np.where(inside[:, None], cells, 0).T)]
+
+    def measure_edge(self, places: np.ndarray) -> np.ndarray:
+        """Distance of places (n, 2) [m] on or beside the floor from where it ends (n,) [m]."""
+        cells = np.rint((places - self.corner_m) / self.cell_m).astype(int)[:, ::-1]
+        return self.edge_m[tuple(np.clip(cells, 0, np.array(self.free.shape) - 1).T)]
 
     def block(self, place: np.ndarray, radius_m: float) -> "Floor":
         """The floor without what is within a radius [m] of a place (2,) [m]."""
@@ -97,13 +102,14 @@ class Floor:
         return self._smooth(np.concatenate([start[None], route[1:-1], goal[None]]))
 
     def _smooth(self, route: np.ndarray) -> np.ndarray:
-        """The route in steps of a cell, each point between its neighbours where that is on the floor."""
+        """The route in steps of a cell, each point between its neighbours where that is no nearer to the edge."""
         along = measure_along(route)
         at = np.linspace(0.0, along[-1], max(2, round(along[-1] / self.cell_m) + 1))
         route = np.stack([np.interp(at, along, part) for part in route.T], axis=1)
         for _ in range(SMOOTHINGS):
             middle = (route[:-2] + route[2:]) / 2.0
-            route[1:-1] = np.where(self.is_free(middle)[:, None], middle, route[1:-1])
+            free = self.measure_edge(middle) >= np.minimum(self.measure_edge(route[1:-1]), EDGE_M)
+            route[1:-1] = np.where(free[:, None], middle, route[1:-1])
         return route
 
 

@@ -138,8 +138,7 @@ def drive_goal(
 ) -> dict[str, np.ndarray]:
     """Drive to a goal (2,) [m]; returns the log of the drive, how it ended and the state after it, as arrays by name.
 
-    Rows of the log (T): time [s], true and estimated pose (T, 3), and covariance of the position (T, 2, 2) [m^2]. Images
-    are kept on demand.
+    Rows of the log (T): time [s], true and estimated pose (T, 3), and covariance of the position (T, 2, 2) [m^2].
     """
     rows, seen, routes = list[tuple[Any, ...]](), list[tuple[float, np.ndarray]](), [np.empty((0, 2))]
     number, contacts, contact = 0, 0, -CONTACT_STEPS

@@ -1,4 +1,4 @@
-"""Drives to goals in the viewer: route, true and estimated position with its ellipse, each image and that of the map."""
+"""Drives to goals in the viewer: route, true and own position with its ellipse, each image and that of the map."""
 
 from pathlib import Path
 
@@ -45,7 +45,7 @@ def write_drives(run: Path, driven: Driven) -> Path:
     spread = DEVIATIONS**2 * world.rotation @ log["covariance"][rows] @ world.rotation.T
     now = np.clip(np.searchsorted(time_s, seen_s), 0, len(time_s) - 1)
     matched = recording.observation[places.query(np.nan_to_num(log["estimated"][rows, :2][now]))[1]]
-    warp = make_warp(camera, *recording.observation.shape[1:3], ROUND_PX)
+    warp = make_warp(camera, camera.rings, camera.sectors, ROUND_PX)
 
     def at(seconds: np.ndarray) -> Rows:
         return [rr.TimeColumn(TIME, duration=seconds)]
@@ -105,7 +105,6 @@ def write_drives(run: Path, driven: Driven) -> Path:
         series_view("Own position minus true [cm]", "error"),
     )
     layout = arrange([rrb.Horizontal(room, beside, column_shares=[5, 2], name="Drives")], play(TIME))
-    save_recording(
-        path, hash_files(driven.folder, [driven.folder / f"{name}.npz"]), f"{run.name}: {name}", layout, log_all
-    )
+    number = hash_files(driven.folder, [path.with_suffix(".npz")])
+    save_recording(path, number, f"{run.name}: {name}", layout, log_all)
     return path
