@@ -53,9 +53,9 @@ class LiveRobot:
         """Cumulative ticks (2,) of the left and right encoder, int64."""
         return count_ticks(self._read, self.settings.encoder)
 
-    def clear_m(self, reach_m: float) -> float:
-        """How far the robot could drive straight ahead before a contact [m], at most the reach."""
-        return look(self.world, reach_m)
+    def clear_m(self, reach_m: float, turned_rad: float = 0.0) -> float:
+        """How far the robot could drive before a contact [m], at most the reach, at an angle to the left [rad]."""
+        return look(self.world, reach_m, turned_rad)
 
     def bumped(self) -> bool:
         """Whether something presses against the robot."""

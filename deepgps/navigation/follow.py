@@ -29,36 +29,30 @@ REST = Command(0.0, 0.0)
 
 
 class Follower:
-    """Follows a route (n, 2) [m] over floor that ends so far from each point (n,) [m]; where that is near, it aims nearer."""
+    """Follows a route (n, 2) [m]; where the floor ends near it, ``edge_m`` (n,) away, it aims nearer."""
 
     def __init__(self, route: np.ndarray, edge_m: np.ndarray) -> None:
         self.route, self.along, self._ahead_m = route, measure_along(route), np.clip(edge_m, *AHEAD_M)
-        self.travelled_m, self._speed = 0.0, 0.0
+        self._passed_m = self._away_m = self._speed = 0.0
 
-    @property
-    def speed(self) -> float:
-        """The speed that was last commanded [m/s]."""
-        return self._speed
+    def aim(self, pose: np.ndarray) -> float:
+        """Angle [rad] from the heading of a pose (3,) to the point of the route to aim at, which never goes back."""
+        near = (self.along >= self._passed_m) & (self.along <= self._passed_m + WINDOW_M)
+        nearest = int(np.where(near, np.linalg.norm(self.route - pose[:2], axis=1), np.inf).argmin())
+        self._passed_m = float(self.along[nearest])
+        at = min(self._passed_m + float(self._ahead_m[nearest]), float(self.along[-1]))
+        away = np.array([np.interp(at, self.along, part) for part in self.route.T]) - pose[:2]
+        self._away_m = float(np.hypot(*away))
+        return float(wrap(np.arctan2(away[1], away[0]) - pose[2]))
 
-    def aim(self, place: np.ndarray) -> np.ndarray:
-        """The point (2,) of the route to aim at from a place (2,) [m]; never back along the route."""
-        near = (self.along >= self.travelled_m) & (self.along <= self.travelled_m + WINDOW_M)
-        apart = np.where(near, np.linalg.norm(self.route - place, axis=1), np.inf)
-        nearest = int(apart.argmin())
-        self.travelled_m = float(self.along[nearest])
-        at = min(self.travelled_m + float(self._ahead_m[nearest]), float(self.along[-1]))
-        return np.array([np.interp(at, self.along, part) for part in self.route.T])
-
-    def step(self, pose: np.ndarray, clear_m: float, period_s: float) -> Command:
-        """What to do for a period [s] at a pose (3,), if so much is clear ahead of the robot [m]."""
-        away = self.aim(pose[:2]) - pose[:2]
-        angle, distance_m = float(wrap(np.arctan2(away[1], away[0]) - pose[2])), float(np.hypot(*away))
-        rest_m = float(np.linalg.norm(self.route[-1] - pose[:2]))
-        braking = float(np.sqrt(2.0 * ACCELERATION_MPS2 * max(min(rest_m, clear_m), 0.0)))
-        if abs(angle) > (PIVOT_RAD if clear_m > AHEAD_M[1] or self._speed > 0.0 else AIM_RAD):
+    def step(self, pose: np.ndarray, free_m: float, period_s: float) -> Command:
+        """What to do for a period [s] at a pose (3,), if so much is free before the robot [m]."""
+        angle, rest_m = self.aim(pose), float(np.linalg.norm(self.route[-1] - pose[:2]))
+        braking = float(np.sqrt(2.0 * ACCELERATION_MPS2 * max(min(rest_m, free_m), 0.0)))
+        if abs(angle) > (PIVOT_RAD if free_m > AHEAD_M[1] or self._speed > 0.0 else AIM_RAD):
             self._speed = min(max(0.0, self._speed - ACCELERATION_MPS2 * period_s), braking)
             return Command(self._speed, float(np.clip(PIVOT_GAIN_PER_S * angle, -MAX_TURN_RPS, MAX_TURN_RPS)))
-        curvature = 2.0 * np.sin(angle) / max(distance_m, 0.05)
+        curvature = 2.0 * np.sin(angle) / max(self._away_m, 0.05)
         highest = min(MAX_SPEED_MPS, MAX_TURN_RPS / max(abs(curvature), 1e-9))
         self._speed = float(min(highest, self._speed + ACCELERATION_MPS2 * period_s, braking))
-        return Command(self._speed, float(np.clip(self._speed * curvature, -MAX_TURN_RPS, MAX_TURN_RPS)))
+        return Command(self._speed, self._speed * curvature)

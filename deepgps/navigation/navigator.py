@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deepgps.navigation.follow import MAX_TURN_RPS, REST, Command, Follower
+from deepgps.navigation.follow import AIM_RAD, MAX_TURN_RPS, REST, Command, Follower
 from deepgps.navigation.position import Source
 from deepgps.navigation.route import Floor
 from sim.geometry import wrap
@@ -32,7 +32,8 @@ class Senses(NamedTuple):
     """What the robot senses now."""
 
     ticks: np.ndarray  # Cumulative, of the left and right encoder (2,)
-    clear_m: float  # How far it could drive straight ahead before a contact, at most ``REACH_M`` [m]
+    # How far it could drive before a contact, at most ``REACH_M`` [m], at an angle to the left of ahead [rad]
+    clear_m: Callable[[float], float]
     bumped: bool  # Whether something presses against it
     look: Callable[[], np.ndarray]  # Takes an image
 
@@ -122,16 +123,18 @@ class Navigator:
         """Follow a route until the robot is there, blocked or unsure."""
         follower = Follower(route, self._clear.measure_edge(route))
         while True:
-            pose, clear_m = self.source.pose(), self._now.clear_m - STOP_M
+            pose = self.source.pose()
             if self._now.bumped:
                 self._block(pose, 0.0)
                 return (yield from self._roll_back())
             if self._is_there() or not self.source.is_sure():
                 return
-            command = follower.step(pose, clear_m, self._period_s)
-            if clear_m <= 0.01 and command.speed_mps < 0.02 and abs(command.turn_rps) < 0.3:
+            aside, clear_m = self.source.hand * follower.aim(pose), self._now.clear_m
+            free_m = min(clear_m(0.0), clear_m(aside)) - STOP_M
+            command = follower.step(pose, free_m, self._period_s)
+            if free_m <= 0.01 and abs(aside) < AIM_RAD:
                 if any(np.linalg.norm(place - pose[:2]) < AGAIN_M for place in self._blocked):
-                    self._block(pose, self._now.clear_m)
+                    self._block(pose, clear_m(0.0))
                 self._blocked.append(pose[:2])
                 return (yield from self._roll_back())
             yield command

@@ -5,7 +5,7 @@ The truth that these files hold is the simulator's; only evaluation reads it, wh
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -41,7 +41,7 @@ class Robot(Protocol):
     def begin(self, rng: np.random.Generator) -> None: ...
     def step(self, speed_mps: float, turn_rate_rps: float) -> None: ...
     def ticks(self) -> np.ndarray: ...
-    def clear_m(self, reach_m: float) -> float: ...
+    def clear_m(self, reach_m: float, turned_rad: float = 0.0) -> float: ...
     def bumped(self) -> bool: ...
     def image(self) -> np.ndarray: ...
     def pose(self) -> np.ndarray: ...
@@ -155,7 +155,7 @@ def drive_goal(
         beat()
         if bumped := robot.bumped():
             contacts, contact = contacts + (number - contact >= CONTACT_STEPS), number
-        command = navigator.step(Senses(robot.ticks(), robot.clear_m(REACH_M), bumped, look))
+        command = navigator.step(Senses(robot.ticks(), partial(robot.clear_m, REACH_M), bumped, look))
         if number % LOG_STEPS == 0 or navigator.outcome is not None:
             rows.append((number * robot.period_s, robot.pose(), source.pose(), source.covariance()))
         if navigator.route is not routes[-1]:
