@@ -17,7 +17,7 @@ from deepgps.evaluation.stored_alignment import read_alignment
 from deepgps.learning.trainer import use_threads
 from deepgps.navigation.goals import MIN_WAY_M, check_goal, draw_goals
 from deepgps.navigation.route import BORDER, Floor, lay_floor
-from deepgps.navigation.simulate import TRUTH, WHEELS, Trip, drive_trips
+from deepgps.navigation.simulate import TRUE_POSE, WHEELS, Trip, drive_trips
 from deepgps.positioner.stored_positioner import INDEX, load_positioner
 from deepgps.runs.owned_folder import hold
 from deepgps.runs.run_folder import RUN, list_trained, open_run
@@ -37,9 +37,9 @@ FOLDER, METRICS = "navigate", "metrics.json"  # Folder of the drives in a run's 
 SLIP_PER_M = 0.02  # Slip of wheels whose run has none, after a metre [m]
 CARRY_GOALS = 10  # Before every such goal the robot is carried elsewhere
 CHANGED_GOALS, CHANGED_PHASE = 10, 5  # Every such goal, from one on, is in a changed room
-DIMMED_LIGHT, MOVED_M = 0.7, 0.3  # Light of another day, over that in training; how far small furniture was moved [m]
+DIMMED_LIGHT, PUSH_M = 0.7, 0.3  # Light of another day, over that in training; how far small furniture was moved [m]
 LATE_GOALS = 20  # Goals after which dead reckoning is lost
-NEAR_M, USEFUL_M = 0.1, 0.2  # Largest final distances of a success [m]
+SUCCESS_LIMITS_M = (0.1, 0.2)  # Largest final distances of a success [m]
 CARRY_TRIES = 200  # Places of the drive among which the one is chosen to which the robot is carried
 START_S = 20.0  # How long a worker may take to build a room and load a method [s]
 
@@ -95,13 +95,13 @@ def _open_simulated(run: Path) -> Recording:
 def plan_trips(run: Path, scenario: Scenario, recording: Recording, order: Order) -> dict[str, Trip]:
     """A trip of each source, to the same goals, from the same places."""
     trained = [name for name in scenario.methods if name in list_trained(run)]
-    names = order.methods or (*trained[:1], WHEELS, TRUTH)
+    names = order.methods or (*trained[:1], WHEELS, TRUE_POSE)
     if not trained:
         raise InputError(f"{run} holds no trained method, so it has no map to drive by")
-    if wrong := [name for name in names if name not in (*trained, WHEELS, TRUTH)]:
-        raise InputError(f"--methods {quote(wrong[0])}: {run} has {', '.join((*trained, WHEELS, TRUTH))}")
+    if wrong := [name for name in names if name not in (*trained, WHEELS, TRUE_POSE)]:
+        raise InputError(f"--methods {quote(wrong[0])}: {run} has {', '.join((*trained, WHEELS, TRUE_POSE))}")
     main = next((name for name in names if name in trained), trained[0])
-    used, floors, alignments = {main, *names} - {WHEELS, TRUTH}, dict[str, Floor](), dict[str, Alignment]()
+    used, floors, alignments = {main, *names} - {WHEELS, TRUE_POSE}, dict[str, Floor](), dict[str, Alignment]()
     for name in used:
         alignments[name] = read_alignment(folder_of(run, name))
         with use_threads(1):
@@ -137,7 +137,7 @@ def _choose_settings(settings: SimSettings, order: Order) -> tuple[SimSettings, 
     """Settings of the drives, whose wheels slip, and those of goals in a changed room, by their numbers."""
     encoder = settings.encoder.model_copy(update={"slip_per_m": settings.encoder.slip_per_m or SLIP_PER_M})
     usual = DeploymentSettings(light=DIMMED_LIGHT) if order.changes else DeploymentSettings()
-    moved = usual.model_copy(update={"moved_m": MOVED_M, "person": 1})
+    moved = usual.model_copy(update={"moved_m": PUSH_M, "person": 1})
     usual, moved = (settings.model_copy(update={"encoder": encoder, "deployment": one}) for one in (usual, moved))
     return usual, dict.fromkeys(range(CHANGED_PHASE, order.goals, CHANGED_GOALS), moved) if order.changes else {}
 
@@ -204,7 +204,7 @@ def score(log: Mapping[str, np.ndarray], trip: Trip, space: FreeSpace) -> dict[s
     final_m = np.array([np.linalg.norm(drive[-1] - place) for drive, place in zip(drives, goal, strict=True)])
     driven_m = np.array([np.linalg.norm(np.diff(drive, axis=0), axis=1).sum() for drive in drives])
     ways_m = np.array([measure_way(floor, drive[0], place) for drive, place in zip(drives, goal, strict=True)])
-    near, useful = (log["arrived"] & (final_m < limit_m) for limit_m in (NEAR_M, USEFUL_M))
+    near, useful = (log["arrived"] & (final_m < limit_m) for limit_m in SUCCESS_LIMITS_M)
     figures = {
         "success_0_1m": near.mean(),  # Share of goals at which the robot said that it had arrived, and was so near
         "success_0_2m": useful.mean(),  # The same within 0.2 m

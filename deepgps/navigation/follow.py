@@ -10,7 +10,7 @@ import numpy as np
 from deepgps.navigation.route import measure_along
 from sim.geometry import wrap
 
-AHEAD_M = 0.1, 0.25  # Least and largest distance along the route at which the robot aims [m]
+LOOKAHEAD_M = 0.1, 0.25  # Least and largest distance along the route at which the robot aims [m]
 MAX_SPEED_MPS, MAX_TURN_RPS = 0.22, 1.2  # Largest speed [m/s] and turn rate [rad/s]
 ACCELERATION_MPS2 = 0.4  # Largest acceleration and braking [m/s^2]
 PIVOT_RAD, PIVOT_GAIN_PER_S = 0.8, 4.0  # Aims beyond this angle are turned to in place [rad]; turn rate over the angle
@@ -32,7 +32,7 @@ class Follower:
     """Follows a route (n, 2) [m]; where the floor ends near it, ``edge_m`` (n,) away, it aims nearer."""
 
     def __init__(self, route: np.ndarray, edge_m: np.ndarray) -> None:
-        self.route, self.along, self._ahead_m = route, measure_along(route), np.clip(edge_m, *AHEAD_M)
+        self.route, self.along, self._ahead_m = route, measure_along(route), np.clip(edge_m, *LOOKAHEAD_M)
         self._passed_m = self._away_m = self._speed = 0.0
 
     def aim(self, pose: np.ndarray) -> float:
@@ -49,7 +49,7 @@ class Follower:
         """What to do for a period [s] at a pose (3,), if so much is free before the robot [m]."""
         angle, rest_m = self.aim(pose), float(np.linalg.norm(self.route[-1] - pose[:2]))
         braking = float(np.sqrt(2.0 * ACCELERATION_MPS2 * max(min(rest_m, free_m), 0.0)))
-        if abs(angle) > (PIVOT_RAD if free_m > AHEAD_M[1] or self._speed > 0.0 else AIM_RAD):
+        if abs(angle) > (PIVOT_RAD if free_m > LOOKAHEAD_M[1] or self._speed > 0.0 else AIM_RAD):
             self._speed = min(max(0.0, self._speed - ACCELERATION_MPS2 * period_s), braking)
             return Command(self._speed, float(np.clip(PIVOT_GAIN_PER_S * angle, -MAX_TURN_RPS, MAX_TURN_RPS)))
         curvature = 2.0 * np.sin(angle) / max(self._away_m, 0.05)

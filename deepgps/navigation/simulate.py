@@ -22,7 +22,7 @@ from sim.recording.renderers import Part
 from sim.rng import stream
 from sim.settings import SimSettings
 
-WHEELS, TRUTH = "dead_reckoning", "truth"  # Sources of positions that are no trained methods
+WHEELS, TRUE_POSE = "dead_reckoning", "truth"  # Sources of positions that are no trained methods
 LOG_STEPS = 5  # Control periods between two rows of a drive's log
 CONTACT_STEPS = 25  # Control periods after a contact in which another one is the same
 IMAGE_GOALS = 5  # Goals whose images are kept for people
@@ -34,10 +34,12 @@ KINDS = {"time_s": "row", "image_time_s": "image", "route": "route"}
 class Robot(Protocol):
     """What a drive needs of a robot; ``pose``, ``place``, ``state`` and ``set_state`` are the simulator's alone."""
 
-    period_s: float
-    radius_m: float
-    odometry: Mapping[str, float]
-
+    @property
+    def period_s(self) -> float: ...
+    @property
+    def radius_m(self) -> float: ...
+    @property
+    def odometry(self) -> Mapping[str, float]: ...
     def begin(self, rng: np.random.Generator) -> None: ...
     def step(self, speed_mps: float, turn_rate_rps: float) -> None: ...
     def ticks(self) -> np.ndarray: ...
@@ -55,7 +57,7 @@ class Robot(Protocol):
 class Trip:
     """Goals of one source of positions."""
 
-    name: str  # A trained method, ``WHEELS`` or ``TRUTH``
+    name: str  # A trained method, ``WHEELS`` or ``TRUE_POSE``
     folder: Path  # The method's folder; of the other two, not read
     floor: Floor  # The floor in the method's frame
     goals: np.ndarray  # Goals (G, 2) in the method's frame [m]
@@ -123,7 +125,7 @@ def make_source(trip: Trip, robot: Robot) -> Source:
         x, y, yaw = robot.pose()
         return np.array([*back.apply(np.array([x, y])), back.turn(yaw)])
 
-    if trip.name == TRUTH:
+    if trip.name == TRUE_POSE:
         return Told(find, hand)
     if trip.name == WHEELS:
         return Reckoned(robot.odometry, find(), hand)

@@ -9,7 +9,7 @@ from scipy.spatial import KDTree
 
 from deepgps.evaluation.navigate_run import Driven
 from deepgps.learning.trainer import use_threads
-from deepgps.navigation.simulate import IMAGE_GOALS, TRUTH, WHEELS
+from deepgps.navigation.simulate import IMAGE_GOALS, TRUE_POSE, WHEELS
 from deepgps.positioner.stored_positioner import load_positioner
 from deepgps.viewer.drive import camera_of, find_track_m, log_poses, log_robot
 from deepgps.viewer.layout import aim_eye, arrange, play, room_view, series_view
@@ -27,7 +27,7 @@ PAUSE_S = 1.0  # Time between two drives on the timeline [s]
 
 def write_drives(run: Path, driven: Driven) -> Path:
     """Write the first drives by the run's method as ``navigate/<method>.rrd``; returns its path."""
-    name = next((name for name in driven.trips if name not in (WHEELS, TRUTH)), next(iter(driven.trips)))
+    name = next((name for name in driven.trips if name not in (WHEELS, TRUE_POSE)), next(iter(driven.trips)))
     trip, log, path = driven.trips[name], driven.logs[name], driven.folder / f"{name}.rrd"
     recording, space = open_recording(run / "recording"), open_truth(run / "recording").free_space
     positioner, world, camera = load_positioner(trip.folder), trip.alignment, camera_of(recording)

@@ -16,7 +16,7 @@ from deepgps.navigation.goals import MIN_WAY_M, check_goal, draw_goals
 from deepgps.navigation.navigator import Navigator, Outcome
 from deepgps.navigation.position import Reckoned, Told, Tracked, Wheels
 from deepgps.navigation.route import CELL_M, EDGE_M, Floor, lay_floor, measure_along
-from deepgps.navigation.simulate import TRUTH, WHEELS, Trip, drive_goal, drive_trip, join
+from deepgps.navigation.simulate import TRUE_POSE, WHEELS, Trip, drive_goal, drive_trip, join
 from deepgps.positioner.pose import Poses
 from deepgps.positioner.stored_positioner import INDEX
 from sim.alignment import Alignment
@@ -108,7 +108,7 @@ def seeing(monkeypatch: pytest.MonkeyPatch) -> type:
     return type("Seeing", (), {"mirrored": False, "mapped": None, "accepts": True})
 
 
-def make_trip(floor: Floor, folder: Path, name: str = TRUTH, goals: int = 4) -> Trip:
+def make_trip(floor: Floor, folder: Path, name: str = TRUE_POSE, goals: int = 4) -> Trip:
     placed = np.full((goals, 3), np.nan)
     placed[0] = 0.5, 0.5, 1.0
     return Trip(
@@ -248,7 +248,7 @@ def test_goals_off_the_floor_are_refused():
         draw_goals(replace(floor, free=np.zeros_like(floor.free)), 0, 3)
 
 
-@pytest.mark.parametrize("name", [TRUTH, WHEELS])
+@pytest.mark.parametrize("name", [TRUE_POSE, WHEELS])
 def test_a_killed_trip_continues_with_the_same_bytes(tmp_path: Path, name):
     floor, files = make_floor(), {}
     for folder, cut in ((tmp_path / "whole", False), (tmp_path / "killed", True)):
