@@ -122,7 +122,8 @@ def test_goals_are_on_the_floor_and_apart():
     goals = draw_goals(floor, 3, 30)
     assert floor.is_free(goals).all() and np.array_equal(draw_goals(floor, 3, 10), goals[:10])
     for one, other in pairwise(goals):
-        assert floor.ways(floor.find(one))[0][tuple(floor.find(other))] >= MIN_WAY_M
+        first, last = floor.find(one), floor.find(other)
+        assert first is not None and last is not None and floor.ways(first)[0][tuple(last)] >= MIN_WAY_M
 
 
 @settings(max_examples=15)
