@@ -7,7 +7,7 @@ from sim.errors import InputError
 from sim.rng import stream
 
 MIN_WAY_M = 2.0  # Least way from one goal to the next [m]
-MIN_EDGE_M = 0.06  # Least distance of a goal from the edge of the driven floor [m]
+MIN_EDGE_M = 0.12  # Least distance of a goal from the edge of the driven floor, where there is such a place [m]
 
 
 def draw_goals(floor: Floor, seed: int, count: int) -> np.ndarray:
@@ -16,7 +16,7 @@ def draw_goals(floor: Floor, seed: int, count: int) -> np.ndarray:
     The first of more goals are those of fewer. Raises InputError if the floor has no place for a goal.
     """
     rng = stream(seed, "goals")
-    cells = np.argwhere(floor.free & (floor.edge_m >= MIN_EDGE_M))
+    cells = np.argwhere(floor.free & (floor.edge_m >= min(MIN_EDGE_M, floor.edge_m.max())))
     if not len(cells):
         raise InputError("the method's map has no floor that the robot has driven: it has no place for a goal")
     goals = [cells[rng.integers(len(cells))]]
