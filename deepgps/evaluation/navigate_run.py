@@ -215,7 +215,7 @@ def score(log: Mapping[str, np.ndarray], trip: Trip, space: FreeSpace) -> dict[s
         "final_distance_median_m": np.median(final_m),  # From the goal, of all drives [m]
         "final_distance_p95_m": np.percentile(final_m, 95.0),  # From the goal, of all drives [m]
         "refused": (~log["arrived"]).mean(),  # Share of goals that the robot refused
-        "time_s": np.mean([log["time_s"][log["row_goal"] == number][-1] for number in range(len(goal))]),  # To the end
+        "time_s": np.mean([log["time_s"][log["row_goal"] == number][-1] for number in range(len(goal))]),  # Time to the end [s]
         "driven_m": driven_m.mean(),  # Way driven to a goal [m]
     }
     for name, some, success in (
