@@ -203,6 +203,7 @@ def score(log: Mapping[str, np.ndarray], trip: Trip, space: FreeSpace) -> dict[s
     drives = [log["true"][log["row_goal"] == number, :2] for number in range(len(goal))]
     final_m = np.array([np.linalg.norm(drive[-1] - place) for drive, place in zip(drives, goal, strict=True)])
     driven_m = np.array([np.linalg.norm(np.diff(drive, axis=0), axis=1).sum() for drive in drives])
+    time_s = np.array([log["time_s"][log["row_goal"] == number][-1] for number in range(len(goal))])
     ways_m = np.array([measure_way(floor, drive[0], place) for drive, place in zip(drives, goal, strict=True)])
     near, useful = (log["arrived"] & (final_m < limit_m) for limit_m in SUCCESS_LIMITS_M)
     figures = {
@@ -215,7 +216,7 @@ def score(log: Mapping[str, np.ndarray], trip: Trip, space: FreeSpace) -> dict[s
         "final_distance_median_m": np.median(final_m),  # From the goal, of all drives [m]
         "final_distance_p95_m": np.percentile(final_m, 95.0),  # From the goal, of all drives [m]
         "refused": (~log["arrived"]).mean(),  # Share of goals that the robot refused
-        "time_s": np.mean([log["time_s"][log["row_goal"] == number][-1] for number in range(len(goal))]),  # Time to the end [s]
+        "time_s": time_s.mean(),  # To the end of a drive [s]
         "driven_m": driven_m.mean(),  # Way driven to a goal [m]
     }
     for name, some, success in (

@@ -1,11 +1,10 @@
-"""A controller of one's own: drive straight, turn at obstacles, record; learn, with noisy encoders; drive to a goal."""
+"""A controller of one's own: drive straight, turn at obstacles, record; then learn, with noisy encoders."""
 
 import sys
 
 import numpy as np
 
 import deepgps
-from deepgps.navigation.navigator import Senses
 from sim.environment import RoomEnvironment
 from sim.robot.model import wheel_speeds
 from sim.robot.range_finder import clear_length
@@ -35,16 +34,5 @@ folder = deepgps.write_recording(
     "my_drive", images[:n], readings[kept], times[arrived][kept], odometry,
     pose=poses[:n], test_observations=images[n:], test_pose=poses[n:],
 )  # fmt: skip
-run = deepgps.train(folder, ["registration_distances", "knn"])
+run = deepgps.train(folder, ["deepgps", "knn"], settings={"learn.train.steps": 500, "learn.network.width": 128})
 print({name: f"{100 * run.metrics['methods'][name]['rms_m']:.1f} cm RMS" for name in run.methods})
-
-# The robot decides every 0.04 s now, by its own positions; goals are in its map's own frame.
-rng, navigator = np.random.default_rng(5), run.navigator()
-robot = RoomEnvironment(SimSettings(room=room, camera=camera), rng, episode_s=1e6)
-seen, floor = robot.reset().observation, navigator.floor
-navigator.start(floor.places(rng.permutation(np.argwhere(floor.free & (floor.edge_m > 0.1)))[0]))
-while navigator.outcome is None:
-    clear_m = clear_length(seen["ranges"])
-    senses = Senses(seen["ticks"], lambda angle, clear_m=clear_m: clear_m, False, lambda now=seen: now["polar"])
-    seen = robot.step(wheel_speeds(*navigator.step(senses))).observation
-print(navigator.outcome)
