@@ -15,10 +15,10 @@ from deepgps.viewer.drive import camera_of, find_track_m, log_poses, log_robot
 from deepgps.viewer.layout import aim_eye, arrange, play, room_view, series_view
 from deepgps.viewer.pictures import encode_jpeg, log_jpegs, make_warp, warp_round
 from deepgps.viewer.scene import LAYER_M, draw_ellipses, lift, log_room
-from deepgps.viewer.stream import Rows, hash_files, save_recording, send_rows, send_series
+from deepgps.viewer.stream import Rows, Shapes, hash_files, save_recording, send_series, send_shapes
 from sim.recording.format import open_recording, open_truth
 
-TIME = "drive_time"
+TIME, ROOT = "drive_time", "world/navigate"
 TRUE_COLOUR, OWN_COLOUR, ROUTE_COLOUR, GOAL_COLOUR = (90, 160, 255), (240, 80, 120), (255, 196, 60), (63, 208, 165)
 ROUND_PX = 256  # Side of the round pictures [px]
 DEVIATIONS = 3.0  # Standard deviations that the ellipse shows
@@ -54,45 +54,23 @@ def write_drives(run: Path, driven: Driven) -> Path:
         log_room(stream, recording.folder / "scene.glb", space)
         log_robot(stream, find_track_m(recording), camera.height_m)
         log_poses(stream, true, at(time_s))
-        dots = {
-            "goal": (start_s[:shown], world.apply(trip.goals[:shown]), GOAL_COLOUR, 0.06),
-            "own": (time_s, own, OWN_COLOUR, 0.035),
-        }
-        for entity, (when, where, colour, radius_m) in dots.items():
-            style = {"radii": radius_m, "colors": [colour]}
-            send_rows(
-                stream, f"world/navigate/{entity}", rr.Points3D, at(when), {"positions": lift(where, 0.02)}, style
-            )
-        lengths = np.bincount(log["route_goal"][ways].astype(int), minlength=shown)
-        send_rows(
-            stream,
-            "world/navigate/route",
-            rr.Points3D,
-            at(start_s[:shown]),
-            {"positions": lift(world.apply(log["route"][ways]), LAYER_M)},
-            {"radii": 0.012, "colors": [ROUTE_COLOUR]},
-            lengths.tolist(),
+        goals = {"positions": lift(world.apply(trip.goals[:shown]), 2 * LAYER_M)}
+        send_shapes(stream, ROOT, at(start_s[:shown]), {"goal": (goals, GOAL_COLOUR, 0.06)})
+        route, lengths = (
+            lift(world.apply(log["route"][ways]), LAYER_M),
+            np.bincount(log["route_goal"][ways], minlength=shown),
         )
-        ellipse = {"strips": draw_ellipses(np.nan_to_num(own), np.nan_to_num(spread), 2 * LAYER_M)}
-        send_rows(
-            stream,
-            "world/navigate/ellipse",
-            rr.LineStrips3D,
-            at(time_s),
-            ellipse,
-            {"radii": 0.006, "colors": [OWN_COLOUR]},
-        )
-        path = rr.LineStrips3D(
-            [lift(true[log["row_goal"][rows] == number, :2], LAYER_M) for number in range(shown)],
-            colors=[TRUE_COLOUR],
-            radii=0.005,
-        )
-        stream.log("world/navigate/path", path, static=True)
+        dots: Shapes = {"route": ({"positions": route}, ROUTE_COLOUR, 0.012)}
+        send_shapes(stream, ROOT, at(start_s[:shown]), dots, lengths.tolist())
+        ellipses = draw_ellipses(np.nan_to_num(own), np.nan_to_num(spread), 2 * LAYER_M)
+        shapes: Shapes = {"own": ({"positions": lift(own, 2 * LAYER_M)}, OWN_COLOUR, 0.035)}
+        send_shapes(stream, ROOT, at(time_s), shapes | {"ellipse": ({"strips": ellipses}, OWN_COLOUR, 0.006)})
+        drives = [lift(true[log["row_goal"][rows] == number, :2], LAYER_M) for number in range(shown)]
+        stream.log(f"{ROOT}/path", rr.LineStrips3D(drives, colors=[TRUE_COLOUR], radii=0.005), static=True)
         error_cm = 100 * np.linalg.norm(own - true[:, :2], axis=1)
         send_series(stream, "error", at(time_s), error_cm, "own position minus true [cm]", OWN_COLOUR)
         for entity, pictures in (("image", log["image"][images]), ("matched", matched)):
-            blobs = (encode_jpeg(warp_round(np.asarray(one), warp)) for one in pictures)
-            log_jpegs(stream, entity, blobs, at(seen_s))
+            log_jpegs(stream, entity, (encode_jpeg(warp_round(np.asarray(one), warp)) for one in pictures), at(seen_s))
 
     room = room_view(
         "Robot, its own position with 3 deviations (red), route (yellow), goal (green)",
