@@ -14,7 +14,7 @@ from deepgps.navigation.position import Source
 from deepgps.navigation.route import Floor
 from sim.geometry import wrap
 
-ARRIVAL_M = 0.03  # The robot has arrived when it is nearer to its goal than this [m]
+STOP_AT_M, ARRIVAL_M = 0.03, 0.05  # It stops this near to its goal, and has arrived if it is this near at rest [m]
 REACH_M = 0.5  # How far ahead it looks with its ranges [m]
 STOP_M = 0.03  # It stops this far before what its ranges see [m]
 BLOCK_M = 0.1  # Its middle keeps this far from what blocked it twice, or what it touched [m]
@@ -22,7 +22,7 @@ AGAIN_M = 0.15  # It is blocked again if its middle is nearer than this to where
 ROLL_BACK_M, ROLL_BACK_MPS = 0.08, 0.08  # How far and how fast it rolls back from a contact [m], [m/s]
 REST_S = 0.2  # How long it rests before a look at rest [s]
 LOOKS, LOOK_RAD = 9, 0.8  # So many looks it takes, turned by so much each, to find where it is [rad]
-MAX_PLANS, MAX_APPROACHES = 12, 4  # So often it plans, and corrects its last step
+MAX_PLANS = 12  # So often it plans
 PATIENCE_S, PATIENCE_FACTOR = 60.0, 6.0  # A goal is refused after so long, and so many times what driving takes [s]
 RADIUS_M = 0.105  # Radius of the testbed's own robot [m]
 CRUISE_MPS = 0.2  # Speed by which it knows how long driving takes [m/s]
@@ -92,7 +92,6 @@ class Navigator:
 
     def _drive(self) -> Steps:
         """All that is done for a goal; sets the outcome at the end."""
-        approaches = 0
         for _ in range(MAX_PLANS):
             yield from self._rest()
             self._look()
@@ -100,10 +99,11 @@ class Navigator:
                 yield from self._find_itself()
             if not self.source.is_sure():
                 return self._end(False, f"unsure where it is after {LOOKS} looks around")
-            if self._is_there() and (self.source.is_certain() or approaches >= MAX_APPROACHES):
-                certain = self.source.is_certain()
-                return self._end(certain, "" if certain else "uncertain where it is at the goal")
-            approaches += self._is_there()
+            if self._is_within(ARRIVAL_M):
+                if self.source.is_certain():
+                    return self._end(True, "")
+                yield from self._turn(LOOK_RAD)
+                continue
             route = self._clear.plan(self.source.pose()[:2], self._goal)
             if route is None:
                 return self._end(False, "no way over floor that it has driven")
@@ -111,13 +111,14 @@ class Navigator:
             way_m = float(np.linalg.norm(np.diff(route, axis=0), axis=1).sum())
             self._limit_s = max(self._limit_s, self._time_s + PATIENCE_S + PATIENCE_FACTOR * way_m / CRUISE_MPS)
             yield from self._follow(route)
-        self._end(False, f"not reached with {MAX_PLANS} plans")
+        self._end(False, f"not reached, or not sure of it, with {MAX_PLANS} plans")
 
     def _end(self, arrived: bool, reason: str) -> None:
         self.outcome = Outcome(arrived, reason)
 
-    def _is_there(self) -> bool:
-        return bool(np.linalg.norm(self.source.pose()[:2] - self._goal) < ARRIVAL_M)
+    def _is_within(self, distance_m: float) -> bool:
+        """Whether it is so near to its goal."""
+        return bool(np.linalg.norm(self.source.pose()[:2] - self._goal) < distance_m)
 
     def _follow(self, route: np.ndarray) -> Steps:
         """Follow a route until the robot is there, blocked or unsure."""
@@ -127,7 +128,7 @@ class Navigator:
             if self._now.bumped:
                 self._block(pose, 0.0)
                 return (yield from self._roll_back())
-            if self._is_there() or not self.source.is_sure():
+            if self._is_within(STOP_AT_M) or not self.source.is_sure():
                 return
             aside, clear_m = self.source.hand * follower.aim(pose), self._now.clear_m
             free_m = min(clear_m(0.0), clear_m(aside)) - STOP_M
