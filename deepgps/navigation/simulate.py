@@ -100,6 +100,8 @@ def drive_trip(trip: Trip, make_robot: Callable[[SimSettings], Robot], beat: Bea
         robot = robot if robot.is_free(start[:2]) else usual  # where a piece was moved to, the robot cannot stand
         navigator = _prepare(trip, number, robot, before)
         before = drive_goal(navigator, robot, trip.goals[number], beat, number < IMAGE_GOALS)
+        place = trip.alignment.apply(trip.goals[number])
+        before["covered"] = np.array(usual.is_free(place) and not robot.is_free(place))  # by what was moved
         write_arrays(trip.file(number), before)
 
 
@@ -190,4 +192,6 @@ def join(trip: Trip) -> dict[str, np.ndarray]:
         joined[f"{KINDS[first]}_goal"] = np.repeat([number for number, _ in kept], [len(one[first]) for _, one in kept])
         for name in (first, *others):
             joined[name] = np.concatenate([one[name] for _, one in kept] or [goals[0][name]])
-    return joined | {name: np.stack([one[name] for one in goals]) for name in ("arrived", "reason", "contacts")}
+    return joined | {
+        name: np.stack([one[name] for one in goals]) for name in ("arrived", "reason", "contacts", "covered")
+    }

@@ -281,6 +281,8 @@ def test_figures_are_those_of_the_log_in_any_frame(tmp_path: Path):
     assert score(log, there, space) == pytest.approx(figures)
     missed = score(log, replace(trip, goals=trip.goals + (0.15, 0.0)), space)
     assert missed["success_0_1m"] == 0.0 and missed["success_0_2m"] == 1.0
+    covered = score({**log, "covered": np.arange(4) > 1, "arrived": np.arange(4) < 2}, trip, space)
+    assert (covered["success_0_2m"], covered["covered"]) == (1.0, 2.0)
     refused = score({**log, "arrived": np.zeros(4, bool)}, trip, space)
     assert (refused["success_0_2m"], refused["spl"], refused["refused"]) == (0.0, 0.0, 1.0)
 
