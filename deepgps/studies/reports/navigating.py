@@ -23,7 +23,7 @@ def list_sources(rows: Sequence[Row], varied: Sequence[str]) -> list[Row]:
     return [
         {**row, **figures, "source": TITLES.get(name) or title_of(name), "own": name not in TITLES}
         for row in rows
-        for name, figures in json.loads(row[DRIVES] or "{}").items()
+        for name, figures in json.loads(row.get(DRIVES) or "{}").items()
     ]
 
 
