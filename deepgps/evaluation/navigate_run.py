@@ -70,17 +70,17 @@ def navigate_run(run: Path, order: Order, progress: Report) -> Driven:
     What was driven before is not driven again. With ``to``, no figures are written. Raises InputError if the folder is
     no run of a simulated robot with a camera, has no such method, or the goal is not on driven floor.
     """
-    scenario = open_run(run)
+    scenario, folder = open_run(run), run / FOLDER if order.to is None else run / FOLDER / "to"
     with hold(run, RUN, "the run"):
         recording = _open_simulated(run)
-        trips = plan_trips(run, scenario, recording, order)
-        logs = _drive(trips, run / FOLDER, progress)
+        trips = plan_trips(run, scenario, recording, order, folder / "parts")
+        logs = _drive(trips, folder, progress)
         space = open_truth(recording.folder).free_space
         figures = {name: score(logs[name], trip, space) for name, trip in trips.items()}
         if order.to is None:
             head = {"goals": order.goals, "changes": order.changes}
-            write_json(run / FOLDER / METRICS, {**head, "methods": figures})
-    return Driven(run / FOLDER, trips, logs, figures)
+            write_json(folder / METRICS, {**head, "methods": figures})
+    return Driven(folder, trips, logs, figures)
 
 
 def _open_simulated(run: Path) -> Recording:
@@ -92,8 +92,8 @@ def _open_simulated(run: Path) -> Recording:
     return recording
 
 
-def plan_trips(run: Path, scenario: Scenario, recording: Recording, order: Order) -> dict[str, Trip]:
-    """A trip of each source, to the same goals, from the same places."""
+def plan_trips(run: Path, scenario: Scenario, recording: Recording, order: Order, parts: Path) -> dict[str, Trip]:
+    """A trip of each source, to the same goals, from the same places; its files are in the folder ``parts``."""
     trained = [name for name in scenario.methods if name in list_trained(run)]
     names = order.methods or (*trained[:1], WHEELS, TRUE_POSE)
     if not trained:
@@ -127,7 +127,7 @@ def plan_trips(run: Path, scenario: Scenario, recording: Recording, order: Order
             settings=settings,
             changed=changed,
             seed=scenario.seed,
-            parts=run / FOLDER / "parts",
+            parts=parts,
         )
         for name in names
     }

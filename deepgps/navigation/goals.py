@@ -32,13 +32,11 @@ def check_goal(floor: Floor, goal: np.ndarray, name: str) -> None:
     """Raise InputError, with a name for the goal (2,) [m], if it is not on the floor that the robot has driven."""
     if not np.isfinite(goal).all():
         raise InputError(f"{name}: a goal is two finite numbers, X and Y [m]")
-    cells = floor.places(np.argwhere(floor.free))
     if floor.is_free(goal[None])[0]:
         return
-    low, high = cells.min(axis=0), cells.max(axis=0)
-    where = "outside of" if ((goal < low) | (goal > high)).any() else "within"
-    nearest = cells[np.linalg.norm(cells - goal, axis=1).argmin()]
+    cells = floor.places(np.argwhere(floor.free))
+    outside = ((goal < cells.min(axis=0)) | (goal > cells.max(axis=0))).any()
+    where, away_m = "outside of" if outside else "within", np.linalg.norm(cells - goal, axis=1).min()
     raise InputError(
-        f"{name}: the robot has driven no floor there, {where} the bounds {low[0]:.2f},{low[1]:.2f} to "
-        f"{high[0]:.2f},{high[1]:.2f} of its map; the nearest is {nearest[0]:.2f},{nearest[1]:.2f}"
+        f"{name}: {where} its map, but the robot has driven no floor there; the nearest is {away_m:.2f} m away"
     )

@@ -55,7 +55,7 @@ class Navigator:
         self.source, self.floor, self._radius_m, self._period_s = source, floor, radius_m, period_s
         self.outcome: Outcome | None = None  # None: the robot is on its way
         self.route = np.empty((0, 2))  # The route that it follows (n, 2) [m]
-        self.looked = False  # Whether it took an image in the last step
+        self._looked = False  # Whether it has taken an image in this step
 
     def start(self, goal: np.ndarray) -> None:
         """Set out for a goal (2,) [m] in the method's frame, from wherever the robot stands."""
@@ -69,7 +69,7 @@ class Navigator:
         if self.outcome is not None:
             return REST
         self._time_s += self._period_s
-        self.looked = False
+        self._looked = False
         self._sense(senses)
         try:
             command = next(self._steps)
@@ -86,9 +86,9 @@ class Navigator:
             self._look()
 
     def _look(self) -> None:
-        if not self.looked:
+        if not self._looked:
             self.source.see(self._now.look())
-            self.looked = True
+            self._looked = True
 
     def _drive(self) -> Steps:
         """All that is done for a goal; sets the outcome at the end."""

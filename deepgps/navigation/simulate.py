@@ -58,7 +58,7 @@ class Trip:
     """Goals of one source of positions."""
 
     name: str  # A trained method, ``WHEELS`` or ``TRUE_POSE``
-    folder: Path  # The method's folder; of the other two, not read
+    folder: Path  # Folder of the method, or of that on whose floor the others drive
     floor: Floor  # The floor in the method's frame
     goals: np.ndarray  # Goals (G, 2) in the method's frame [m]
     placed: np.ndarray  # True pose (G, 3) at which the robot is put before each goal; NaN: it goes on from where it is
@@ -71,6 +71,10 @@ class Trip:
     def file(self, number: int) -> Path:
         """File of a goal."""
         return self.parts / f"{self.name}-{number:04d}.npz"
+
+    def is_placed(self, number: int) -> bool:
+        """Whether the robot is put elsewhere before a goal."""
+        return bool(np.isfinite(self.placed[number, 0]))
 
 
 def drive_trips(trips: Mapping[str, Trip], part: Part, beat: Beat) -> None:
@@ -87,7 +91,6 @@ def drive_trip(trip: Trip, make_robot: Callable[[SimSettings], Robot], beat: Bea
     """Drive to all goals of a trip; files of goals that exist are read."""
     robots: dict[SimSettings, Robot] = {}
     before: dict[str, np.ndarray] | None = None
-    navigator: Navigator | None = None
     for number in range(len(trip.goals)):
         if trip.file(number).is_file():
             before = read_arrays(trip.file(number))
@@ -96,7 +99,7 @@ def drive_trip(trip: Trip, make_robot: Callable[[SimSettings], Robot], beat: Bea
         for one in (trip.settings, settings):
             robots[one] = robots[one] if one in robots else make_robot(one)
         robot, usual = robots[settings], robots[trip.settings]
-        start = trip.placed[number] if np.isfinite(trip.placed[number, 0]) else usual.pose()
+        start = trip.placed[number] if before is None or trip.is_placed(number) else before["true"][-1]
         robot = robot if robot.is_free(start[:2]) else usual  # where a piece was moved to, the robot cannot stand
         navigator = _prepare(trip, number, robot, before)
         before = drive_goal(navigator, robot, trip.goals[number], beat, number < IMAGE_GOALS)
@@ -110,7 +113,7 @@ def _prepare(trip: Trip, number: int, robot: Robot, before: Mapping[str, np.ndar
     robot.begin(stream(trip.seed, "navigation", number))
     if before is not None:
         robot.set_state({name.removeprefix("robot/"): part for name, part in before.items() if "robot/" in name})
-    if np.isfinite(trip.placed[number, 0]):
+    if trip.is_placed(number):
         robot.place(trip.placed[number])
     source = make_source(trip, robot)
     if before is not None:
@@ -120,7 +123,6 @@ def _prepare(trip: Trip, number: int, robot: Robot, before: Mapping[str, np.ndar
 
 def make_source(trip: Trip, robot: Robot) -> Source:
     """The source of positions of a trip, for a robot at its start."""
-
     back, hand = trip.alignment.invert(), int(np.sign(np.linalg.det(trip.alignment.rotation)))
 
     def find() -> np.ndarray:
@@ -189,7 +191,9 @@ def join(trip: Trip) -> dict[str, np.ndarray]:
     joined = {"goal": trip.goals}
     for first, others in (("time_s", ("true", "estimated", "covariance")), ("image_time_s", ("image",)), ("route", ())):
         kept = [(number, one) for number, one in enumerate(goals) if len(one[first])]
-        joined[f"{KINDS[first]}_goal"] = np.repeat([number for number, _ in kept], [len(one[first]) for _, one in kept])
+        joined[f"{KINDS[first]}_goal"] = np.repeat(
+            np.array([number for number, _ in kept], int), [len(one[first]) for _, one in kept]
+        )
         for name in (first, *others):
             joined[name] = np.concatenate([one[name] for _, one in kept] or [goals[0][name]])
     return joined | {

@@ -23,7 +23,7 @@ from tests.helpers.command import deepgps_here, started, wait_until
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("--to", "99", "0"), "outside of the bounds"),
+        (("--to", "99", "0"), "outside of its map"),
         (("--to", "nan", "0"), "two finite numbers"),
         (("--goals", "0"), "must be from 1"),
         (("--methods", "magic"), "has deepgps_compass"),
