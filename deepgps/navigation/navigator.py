@@ -16,7 +16,7 @@ from sim.geometry import wrap
 
 STOP_AT_M, ARRIVAL_M = 0.03, 0.05  # It stops this near to its goal, and has arrived if it is this near at rest [m]
 REACH_M = 0.5  # How far ahead it looks with its ranges [m]
-STOP_M = 0.03  # It stops this far before what its ranges see [m]
+STOP_M = 0.02  # It stops this far before what its ranges see [m]
 BLOCK_M = 0.1  # Its middle keeps this far from what blocked it twice, or what it touched [m]
 AGAIN_M = 0.15  # It is blocked again if its middle is nearer than this to where it was blocked [m]
 ROLL_BACK_M, ROLL_BACK_MPS = 0.08, 0.08  # How far and how fast it rolls back from a contact [m], [m/s]

@@ -23,7 +23,7 @@ DISTANCE_STD_SHARE, TURN_STD_SHARE = 0.01, 0.02  # Of a distance or a turn by th
 REST_STD_M, REST_STD_RAD = 0.0005, 0.002  # Least standard deviations of a motion [m], [rad]
 MATCH_M, MATCH_RAD = 0.3, 0.35  # An image supports a pose that is nearer to its own than this [m], [rad]
 CARRIED_IMAGES = 3  # After so many accepted images in a row that contradict the pose, the robot was carried
-SUPPORTING_IMAGES = 2  # So many images in a row support a pose by which the robot drives though it is not certain
+SUPPORTING_IMAGES = 2, 6  # So many images in a row support a pose by which the robot drives, and says that it is there
 BLIND_LIMITS = np.array([1.0, 6.0])  # Way and turn without such an image, after which the robot is unsure [m], [rad]
 
 
@@ -184,10 +184,10 @@ class Tracked(Source):
 
     def is_sure(self) -> bool:
         seen = not self._contradicting and (self._blind < BLIND_LIMITS).all()
-        return bool(seen and (self._supporting >= SUPPORTING_IMAGES or estimate(self._state).accepted))
+        return bool(seen and (self._supporting >= SUPPORTING_IMAGES[0] or estimate(self._state).accepted))
 
     def is_certain(self) -> bool:
-        return self.is_sure() and estimate(self._state).accepted
+        return self.is_sure() and (self._supporting >= SUPPORTING_IMAGES[1] or estimate(self._state).accepted)
 
     def pack(self) -> dict[str, np.ndarray]:
         state, counts = self._predict(), np.array([self._supporting, self._contradicting])
