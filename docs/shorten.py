@@ -82,9 +82,10 @@ def main(folders: Sequence[str]) -> None:
     for folder in map(Path, folders):
         page, sums = folder / "table.md", folder / "SHA256SUMS"
         text = page.read_text(encoding="utf-8")
-        at = text.index("\n\n", text.rindex("\n|")) + 2  # the last table is followed by the origin alone
+        at = text.index("\n\n", text.rindex("\n|")) + 2  # the last table is followed by doubts and the origin
         before = sha256(page)
-        page.write_text(f"{shorten(text[:at])}\n{text[at:]}", encoding="utf-8")
+        rest = re.sub(r"^- .*\n+", "", text[at:], flags=re.MULTILINE)  # runs that doubt are counted, and not listed
+        page.write_text(f"{shorten(text[:at])}\n{rest}", encoding="utf-8")
         sums.write_text(sums.read_text().replace(before, sha256(page)))
 
 

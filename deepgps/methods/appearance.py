@@ -15,7 +15,7 @@ from deepgps.data.features import Features
 from deepgps.data.segments import find_held_out, find_owners, spread_evenly
 from deepgps.learning.training_data import TrainingData
 from deepgps.positioner.appearance import AppearanceMap
-from deepgps.positioner.kriging import KERNELS, Kernel, choose_kernel, find_others, krige
+from deepgps.positioner.kriging import KERNELS, Kernel, choose_kernel, choose_neighbours, find_others, krige
 from deepgps.positioner.pixels import KnownPixels, grey, turn
 from deepgps.positioner.registration import LEVELS, Calibration, Registration, fuse, inflate
 from sim.errors import InputError
@@ -63,10 +63,11 @@ def learn(
     places, heading = places[index], heading[index]
     first, last = (owner.numpy()[index] for owner in find_owners(data.segments, len(placed)))
     fresh = find_held_out(data.segments, len(placed)).numpy()[index]  # features were not fitted to these
-    left_out = leave_out(places, first, last, np.flatnonzero(~fresh), NOISE_IMAGES)
+    around = choose_neighbours(has_pixels)
+    left_out = leave_out(places, first, last, np.flatnonzero(~fresh), NOISE_IMAGES, around)
     if not len(left_out.sample):
         raise InputError("too few segments pass one another, so what is seen between them cannot be predicted")
-    checked = leave_out(places, first, last, np.flatnonzero(fresh), CALIBRATION_IMAGES)
+    checked = leave_out(places, first, last, np.flatnonzero(fresh), CALIBRATION_IMAGES, around)
     if len(checked.sample) < MIN_CALIBRATION_IMAGES:
         checked = left_out
     features, kernel, projection = whiten(data, index, places, left_out)
@@ -75,7 +76,7 @@ def learn(
     if has_pixels:
         small = np.concatenate([grey(data.observation[part]) for part in np.array_split(index, -(-len(index) // 500))])
         known = learn_pixels(known, small, heading, left_out)
-        everyone = leave_out(places, first, last, np.arange(len(index)), len(index))
+        everyone = leave_out(places, first, last, np.arange(len(index)), len(index), around)
         for _ in range(HEADING_ROUNDS):
             refined = refine_headings(known, small, heading, first, everyone)
             again = learn_pixels(known, small, refined, left_out, (known.chirality,))
@@ -100,10 +101,12 @@ class LeftOut(NamedTuple):
         return LeftOut(*(part[:: -(-len(self.sample) // TRIAL_IMAGES)] for part in self))
 
 
-def leave_out(places: np.ndarray, first: np.ndarray, last: np.ndarray, rows: np.ndarray, count: int) -> LeftOut:
-    """At most ``count`` of the observations ``rows`` (n,) with those around them; arguments as in ``find_others``."""
+def leave_out(
+    places: np.ndarray, first: np.ndarray, last: np.ndarray, rows: np.ndarray, count: int, around: int
+) -> LeftOut:
+    """At most ``count`` of the observations ``rows`` (n,), each with ``around`` others; see ``find_others``."""
     sample = rows[spread_evenly(len(rows)).numpy() < count / max(1, len(rows))]
-    others, enough = find_others(places, first, last, sample)
+    others, enough = find_others(places, first, last, sample, around)
     return LeftOut(sample[enough], others[enough])
 
 

@@ -9,7 +9,7 @@ the fold detector are ours.
 """
 
 import re
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -107,7 +107,7 @@ def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, 
         "attempts": len(attempts),  # Number of attempts
         "attempt": best.number,  # The one that was chosen, counted from 0
         # Verdict of the fold detector, which does not see the truth, and the measures behind it
-        "fold": {"found": best.score.folded, **asdict(best.score)},
+        "fold": best.score.record(),
         "map": record_undecided(best.ambiguous),  # What is undecided of the map
         "segments_skipped": data.segments.skipped,  # Segments that were not used
     }

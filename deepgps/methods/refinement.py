@@ -9,7 +9,7 @@ from deepgps.data.segments import find_owners
 from deepgps.initial_map.compass.factors import Factors
 from deepgps.learning.training_data import TrainingData
 from deepgps.methods.appearance import CHUNK, find_trace, learn, leave_out
-from deepgps.positioner.kriging import krige
+from deepgps.positioner.kriging import choose_neighbours, krige
 from deepgps.positioner.pixels import grey
 from deepgps.positioner.registration import fuse
 from sim.errors import InputError
@@ -71,7 +71,8 @@ def find_factors(data: TrainingData, places: np.ndarray, heading: np.ndarray, ev
     appearance, index = learn(data, places, heading)
     known = appearance.registration
     first, last = (owner.numpy()[index] for owner in find_owners(data.segments, len(places)))
-    sample, others = leave_out(known.places, first, last, np.arange(len(index))[every], count)
+    around = choose_neighbours(known.pixels is not None)
+    sample, others = leave_out(known.places, first, last, np.arange(len(index))[every], count, around)
     position, covariance = np.empty((len(sample), 2)), np.empty((len(sample), 2, 2))
     for part in np.array_split(np.arange(len(sample)), -(-len(sample) // CHUNK)):
         there = known.places[sample[part]]

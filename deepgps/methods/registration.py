@@ -10,7 +10,8 @@ from deepgps.config.learning import LearnSettings
 from deepgps.data.segments import find_runs
 from deepgps.initial_map.compass.factors import Factors
 from deepgps.initial_map.distances.dense import refine
-from deepgps.initial_map.distances.folding import find_ambiguous
+from deepgps.initial_map.distances.folding import find_ambiguous, score_folding
+from deepgps.learning.trainer import make_generator
 from deepgps.learning.training_data import TrainingData, prepare
 from deepgps.methods.appearance import learn
 from deepgps.methods.compass import find_mount, keep_chosen, map_by_compass
@@ -49,7 +50,8 @@ def fit_distances(recording: Recording, settings: LearnSettings, seed: int, fold
         places = refine_distances(recording, data, places, stream(seed, "map by distances, registered"))
     progress(f"{folder.name}: initial map", 1, 1)
     fitted = finish(data, places, find_headings(recording, places), start, progress, folder)
-    return fitted.note({"map": record_undecided(undecided)})
+    fold = score_folding(places, data.features, data.segments, make_generator(seed, "fold", 0))
+    return fitted.note({"fold": fold.record(), "map": record_undecided(undecided)})
 
 
 class DistanceMap(NamedTuple):

@@ -12,7 +12,7 @@ from typing import NamedTuple, Self
 import numpy as np
 from scipy.spatial import KDTree
 
-NEIGHBOURS = 12  # Places from which an observation is predicted
+NEIGHBOURS, NEIGHBOURS_OF_VECTORS = 12, 24  # Places from which an image or another observation is predicted
 
 
 class Kernel(NamedTuple):
@@ -22,7 +22,10 @@ class Kernel(NamedTuple):
     nugget: float
 
 
-KERNELS = tuple(Kernel(*pair) for pair in product((0.05, 0.1, 0.2, 0.4, 0.8), (0.005, 0.02, 0.05, 0.15)))  # To try
+KERNELS = tuple(
+    Kernel(*pair)
+    for pair in (*product((0.05, 0.1, 0.2, 0.4, 0.8), (0.005, 0.02, 0.05, 0.15)), *product((0.4, 0.8, 1.6), (1e-6,)))
+)  # To try; those of the least nugget for observations without noise
 
 
 @dataclass(frozen=True)
@@ -89,6 +92,11 @@ def compare(values: np.ndarray, own: np.ndarray, index: np.ndarray) -> np.ndarra
     return (away @ np.swapaxes(away, 1, 2)).astype(float)
 
 
+def choose_neighbours(has_pixels: bool) -> int:
+    """The number of places from which an observation is predicted: vectors without noise profit from more."""
+    return NEIGHBOURS if has_pixels else NEIGHBOURS_OF_VECTORS
+
+
 def find_nearest(tree: KDTree, places: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Distance [m] and number of the nearest of a tree's places for each of (B, 2) [m], both (B, at most count)."""
     count = min(count, tree.n)
@@ -102,23 +110,23 @@ def limit(move: np.ndarray, length: float) -> np.ndarray:
 
 
 def find_others(
-    places: np.ndarray, first: np.ndarray, last: np.ndarray, rows: np.ndarray
+    places: np.ndarray, first: np.ndarray, last: np.ndarray, rows: np.ndarray, count: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The nearest places of other segments around ``rows`` (n,) of N places (n, NEIGHBOURS), and which have enough.
+    """The nearest places of other segments around ``rows`` (n,) of N places (n, count), and which have enough.
 
     A place is on segments ``first`` (N,) to ``last`` (N,).
     """
-    tree, found, wide = KDTree(places), np.zeros((len(rows), NEIGHBOURS), int), 4 * NEIGHBOURS
+    tree, found, wide = KDTree(places), np.zeros((len(rows), count), int), 4 * count
     missing = np.arange(len(rows))
-    if tree.n < NEIGHBOURS:
+    if tree.n < count:
         return found, np.zeros(len(rows), bool)
     while True:
         wide = min(wide, tree.n)
         around = find_nearest(tree, places[rows[missing]], wide)[1]
         own = rows[missing, None]
         other = (first[around] > last[own]) | (last[around] < first[own])
-        order = np.argsort(~other, axis=1, kind="stable")[:, :NEIGHBOURS]
-        enough = other.sum(axis=1) >= NEIGHBOURS
+        order = np.argsort(~other, axis=1, kind="stable")[:, :count]
+        enough = other.sum(axis=1) >= count
         found[missing[enough]] = np.take_along_axis(around, order, axis=1)[enough]
         missing = missing[~enough]
         if not len(missing) or wide == tree.n:

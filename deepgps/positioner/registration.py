@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import KDTree
 
-from deepgps.positioner.kriging import NEIGHBOURS, Kernel, Surroundings, compare, find_nearest, limit
+from deepgps.positioner.kriging import Kernel, Surroundings, choose_neighbours, compare, find_nearest, limit
 from deepgps.positioner.pixels import KnownPixels
 
 CANDIDATES, STARTS, START_DISTANCE_M = 128, 8, 0.4  # Images most alike, starts among these, distance of two [m]
@@ -127,9 +127,10 @@ class Registration:
         They are predicted from the nearest training images, or from those with numbers ``index`` (n, k).
         """
         position, eye = start.copy(), np.eye(2)
+        count = choose_neighbours(self.pixels is not None)
         for step in range(rounds + 1):
             if step == 0 or (index is None and step % SHARED_ROUNDS == 0 and step < rounds):
-                near = find_nearest(self.tree, position, NEIGHBOURS)[1] if index is None else index
+                near = find_nearest(self.tree, position, count)[1] if index is None else index
                 around = Surroundings.find(self.places, near, self.kernel)
                 products = compare(self.known, features, near)
             weights = around.krige(position)

@@ -81,6 +81,9 @@ def run(world: Chassis, speed_mps: float, turn_rate_rps: float, duration_s: floa
 
 MAX_LEAN_DEG, MAX_YAW_DEG, MAX_SLIP, MAX_OFF_S = 3.0, 1.0, 0.02, 0.1
 """Largest pitch or roll, yaw after a straight drive, relative slip, and time for which a wheel is off the floor."""
+MAX_SUDDEN_M, SUDDEN_S = 0.008, 1.0
+"""Largest slip within so long on a straight drive: a tenth of a usual gap between images. What slips as the robot
+starts may come back as it brakes."""
 MAX_GAP_M = 0.001  # A wheel is on the floor if it is not further from it [m]
 PATIENCE = 1.5  # A straight drive is given up after this times as long as it should take
 SKID_FRICTION = 0.1  # Largest friction of a part that slides on the floor as a caster
@@ -112,12 +115,15 @@ def _find_faults(world: Any) -> Iterator[str]:
         yield from world.watch(partial(_drive_straight, world, way))
         rolled_m, driven_m = abs(world.wheel_angle().mean()) * world.axle_m, np.hypot(*world.pose()[:2])
         if rolled_m < (1.0 - MAX_SLIP) * STRAIGHT_M:
-            yield f"{told} rolled {rolled_m:.2g} m: its motors are too weak (kv, forcerange)"
+            yield f"{told} rolled {rolled_m:.2g} m: its motors are too weak (kv, forcerange), or a caster drags"
         slip, yaw_deg = abs(driven_m / rolled_m - 1.0), np.degrees(world.pose()[2])
         if not slip <= MAX_SLIP:  # NaN is not
             yield f"{told} drove {driven_m:.3g} m: its wheels slip by {100.0 * slip:.1f} % ({causes})"
         if abs(yaw_deg) > MAX_YAW_DEG:
             yield f"{told} turned by {yaw_deg:.2g} degrees: its wheels differ (axis, radius) or slip ({causes})"
+        if (sudden_m := world.find_sudden_slip()) > MAX_SUDDEN_M:
+            sudden = f"{1000.0 * sudden_m:.0f} mm within {SUDDEN_S:g} s"
+            yield f"its wheels slip by {sudden}, as it starts or brakes ({causes})"
     for way in (1.0, -1.0):
         yield from world.watch(partial(turn, world, way * TURN_RAD))
 
@@ -145,6 +151,7 @@ class _Watched(Chassis):
         body = (part == model.body(ROBOT_PREFIX + BASE).id) & ~np.isin(model.geom_type, CASTERS) & ~slides
         self._lean_deg, self._leans, self._speed, self._on_floor = 0.0, "", 0.0, set[int]()
         self._off_s = self._longest_off_s = np.zeros(2)
+        self._ahead_m = list[float]()  # How much further the wheels rolled than the robot drove, after each step
         drive()
         mass = f"its mass of {mujoco.mj_getTotalmass(model):.2g} kg is too small for its motors (kv, forcerange)"
         if self._leans:
@@ -174,6 +181,13 @@ class _Watched(Chassis):
         above_m = [-find_reach(self.model, self.data, -np.eye(3)[2:], joint)[0] for joint in self._joints]
         self._off_s = (self._off_s + CONTROL_PERIOD_S) * (np.array(above_m) > MAX_GAP_M)
         self._longest_off_s = np.maximum(self._longest_off_s, self._off_s)
+        rolled_m, driven_m = abs(self.wheel_angle().mean()) * self.axle_m, np.hypot(*self.pose()[:2])
+        self._ahead_m.append(float(rolled_m - driven_m))
+
+    def find_sudden_slip(self) -> float:
+        """Largest slip within ``SUDDEN_S`` of the last straight drive [m]."""
+        ahead_m, steps = np.array(self._ahead_m), round(SUDDEN_S / CONTROL_PERIOD_S)
+        return float(np.abs(ahead_m[steps:] - ahead_m[:-steps]).max())
 
 
 if __name__ == "__main__":

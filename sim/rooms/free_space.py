@@ -234,6 +234,11 @@ def _explain(model: mujoco.MjModel) -> str:
     if drawn:
         named = shorten(", ".join(name or "one without a name" for name in drawn), 200)
         why += f"; these of its geoms are only drawn (contype and conaffinity 0): {named}"
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    for geom in np.flatnonzero(solid & (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)).tolist():
+        if data.geom_xmat[geom, 8] > 1 - _EPSILON and (z_m := data.geom_xpos[geom, 2]) > CLEARANCE_M:
+            why += f"; it has a floor at z = {z_m:g} m, which must be at 0"
     return why
 
 

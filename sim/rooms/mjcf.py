@@ -12,7 +12,8 @@ from sim.rooms.free_space import CLEARANCE_M, box_of, collides
 from sim.rooms.mjcf_files import list_files
 from sim.rooms.spec import ROBOT_PREFIX, make_static
 
-FLOOR = "floor"
+FLOOR, FLOOR_BELOW = "floor", "floor_below"
+MAX_WALL_M = 0.5  # Boxes that are the floor may end so far before the outside of the walls [m]
 _FLOOR_TOLERANCE_M, _PLANE_DEPTH_M = 0.001, 0.002
 """How far from z = 0 the top of a floor may be, and how far below z = 0 the plane under boxes is [m]."""
 HOLE, CELL_M, MAX_SIDE_CELLS = "floor_hole_", 0.02, 1000
@@ -42,7 +43,7 @@ def load_room(path: Path) -> mujoco.MjSpec:
         raise InputError(f"{what}: MuJoCo cannot read it: {shorten(one_line(error), 400)}") from None
     floors, tops = _find_floors(model)
     if floors <= {mujoco.mjtGeom.mjGEOM_BOX}:
-        name = FLOOR if spec.geom(FLOOR) is None else f"{FLOOR}_below"
+        name = FLOOR if spec.geom(FLOOR) is None else FLOOR_BELOW
         z_m = -_PLANE_DEPTH_M if floors else 0.0
         spec.worldbody.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_PLANE, size=(0, 0, 1), pos=(0, 0, z_m), group=3)
         for number, (low, high) in enumerate(_find_holes(np.array(tops))):
@@ -72,9 +73,27 @@ def list_notes(model: mujoco.MjModel) -> list[str]:
     holes = [geom for geom in map(model.geom, range(model.ngeom)) if geom.name.startswith(HOLE)]
     if area_m2 := sum(4.0 * geom.size[0] * geom.size[1] for geom in holes):
         notes.append(f"room: holes in its floor, of {area_m2:.2g} m2 in all, are no floor: they stop the robot")
+    if covered := _find_covered(model):
+        notes.append(f"room: a plane at z = 0 is added as its floor, also {covered}")
     if (triangles := _count_triangles(model)) > SLOW_TRIANGLES:
         notes.append(f"room: its meshes draw {triangles:,} triangles, which set the time of each picture")
     return notes
+
+
+def _find_covered(model: mujoco.MjModel) -> str | None:
+    """What a floor that was added covers: what lies below it, or what is beyond boxes that end before the room does."""
+    data, floors = mujoco.MjData(model), (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE) & (model.geom_group == 3)
+    mujoco.mj_kinematics(model, data)
+    added = [geom for geom in np.flatnonzero(floors).tolist() if model.geom(geom).name in {FLOOR, FLOOR_BELOW}]
+    solid = np.flatnonzero(collides(model) & (model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE)).tolist()
+    if not added or not solid:
+        return None
+    low, high = np.array([box_of(model, data, geom) for geom in solid]).transpose(1, 0, 2)
+    tops = np.array(_find_floors(model)[1])
+    if not len(tops):
+        return "over what lies below it" if low[:, 2].min() < -CLEARANCE_M else None
+    begins, ends = tops[:, 0].min(axis=0) - low[:, :2].min(axis=0), high[:, :2].max(axis=0) - tops[:, 1].max(axis=0)
+    return "beyond the ends of its boxes" if max(begins.max(), ends.max()) > MAX_WALL_M else None
 
 
 def _count_triangles(model: mujoco.MjModel) -> int:

@@ -9,7 +9,8 @@ about this line, and every segment is as straight and every loop closure as shor
 frameworks (Hendrickson, SIAM J. Comput. 21, 1992). Short drives have such parts, as few bars cross there.
 """
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -46,6 +47,10 @@ class FoldScore:
     def folded(self) -> bool:
         """Whether the map counts as folded."""
         return self.worst > 1.0
+
+    def record(self) -> dict[str, Any]:
+        """What ``training.json`` holds of it."""
+        return {"found": self.folded, **asdict(self)}
 
 
 def score_folding(

@@ -8,6 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Any
 
+import cv2
 import numpy as np
 import yaml
 from pydantic import ValidationError
@@ -108,20 +109,36 @@ def read_calibration(path: Path) -> RawCamera:
     try:
         if "ocam_model" in text:
             raise InputError(OCAM)
-        values = yaml.safe_load(re.sub(r"\A%YAML:1\.0|!!opencv-matrix", "", text))
+        plain = re.sub(r"\A%YAML:1\.0|!!opencv-matrix", "", text)
+        values = _read_xml(text) if text.lstrip().startswith("<?xml") else yaml.safe_load(plain)
         if not isinstance(values, dict):
             raise InputError(NO_CALIBRATION)
         if kind := values.get("model_type"):
-            where = CAMODOCAL_MODELS.get(kind, "which is not read")
-            raise InputError(f"a calibration of camodocal, as of VINS: give camera.intrinsics, where {where}")
+            where = CAMODOCAL_MODELS.get(kind)
+            way = f"give camera.intrinsics, where {where}" if where else f"its model {quote(kind)} is not read"
+            raise InputError(f"a calibration of camodocal, as of VINS: {way}")
         cameras = [one for name, one in values.items() if re.fullmatch(r"cam\d+", str(name))]
         return _take_kalibr(cameras) if cameras else _take_matrices(values)
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, cv2.error) as error:
         raise InputError(f"{path}: {NO_CALIBRATION}: {one_line(error)}") from None
     except KeyError as error:
-        raise InputError(f"{path}: {error} is missing") from None
+        raise InputError(f"{path}: {NO_CALIBRATION}: {error} is missing") from None
     except (InputError, TypeError) as error:
         raise InputError(f"{path}: {error}") from None
+
+
+def _read_xml(text: str) -> dict[str, Any]:
+    """Matrices, as lists, texts and numbers of OpenCV's FileStorage."""
+    storage, found = cv2.FileStorage(), dict[str, Any]()
+    storage.open(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
+    root = storage.root()
+    for name in root.keys():  # noqa: SIM118  it is no dict
+        node = root.getNode(name)
+        if node.isMap() and not node.getNode("dt").empty():
+            found[name] = node.mat().ravel().tolist()
+        elif node.isString() or node.isInt() or node.isReal():
+            found[name] = node.string() if node.isString() else node.real()
+    return found
 
 
 def _take_kalibr(cameras: Sequence[Mapping[str, Any]]) -> RawCamera:

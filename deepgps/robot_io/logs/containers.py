@@ -26,7 +26,7 @@ from deepgps.config.plain_yaml import MAX_FILE_BYTES
 from deepgps.robot_io.logs import plain_folder
 from deepgps.robot_io.logs.sample import MENDING, Heard, Part, Sample, explained
 from deepgps.terminal.progress import Report
-from sim.errors import InputError, one_line, read_file, shorten
+from sim.errors import InputError, one_line, shorten
 
 METADATA, ZSTD, ZSTD_MAGIC = "metadata.yaml", ".zstd", b"\x28\xb5\x2f\xfd"
 OTHER_CONTENTS = {
@@ -115,9 +115,16 @@ def _list_files(folder: Path) -> tuple[list[Path], list[str]]:
         return [folder], []
     if all(one.suffix == ".bag" for one in stored):
         return stored, []
-    about = read_file(folder / METADATA, MAX_FILE_BYTES, METADATA) if (folder / METADATA).is_file() else b""
-    fits = all(one.name.encode() in about for one in stored)
-    return stored, [] if fits else [f"{METADATA} is missing or does not fit: the files are read without it"]
+    about = b""
+    with suppress(OSError), (folder / METADATA).open("rb") as stream:
+        about = stream.read(MAX_FILE_BYTES)
+    lines = (line.strip(" '\"") for line in about.decode(errors="replace").splitlines())
+    listed = {re.split("/|path: |- ", line)[-1].strip("'\"") for line in lines if line.endswith((".db3", ".mcap"))}
+    if listed == (names := {one.name for one in stored}):
+        return stored, []
+    lost = ", ".join(sorted(listed - names))
+    what = f"lists {lost}, which is not there" if lost else "is missing or does not fit"
+    return stored, [f"{METADATA} {what}: the files are read without it"]
 
 
 def _open_file(file: Path, stack: ExitStack, notes: list[str]) -> Part:
@@ -129,10 +136,10 @@ def _open_file(file: Path, stack: ExitStack, notes: list[str]) -> Part:
         except Exception as error:
             if file.suffix != ".mcap":
                 raise
-            part = _open_cut(file)
+            part, why = _open_cut(file), shorten(one_line(error), 120).rstrip(".")
             if not part.types:
-                raise InputError(f"{file}: {one_line(error)} It has no whole chunk with messages of ROS 2") from None
-            notes.append(f"{file.name}: {shorten(one_line(error), 120)} It is read to its last whole chunk.")
+                raise InputError(f"{file}: {why}; it has no whole chunk with messages of ROS 2") from None
+            notes.append(f"{file.name}: {why}; it is read to its last whole chunk")
             return part
 
     def walk(wanted: Collection[str]) -> Iterator[tuple[str, int, bytes]]:

@@ -57,12 +57,6 @@ def read_drive(log: Log, config: RobotConfig, progress: Report) -> LoggedDrive:
         if config.pose.use == "truth" and (lacking := int(np.isnan(pose[:, 0]).sum())):
             notes.append(f"{pose_log.topic}: {lacking} images have no pose within half a second and are left out")
     notes += [*wheel_log.list_notes(), *wheels.notes]
-    ahead_m, back_m = (driven.sum_up(kind)["metres"] for kind in ("straight", "back"))
-    if back_m > ahead_m:  # as it seems if both wheels count backward
-        notes.append(
-            f"{topic}: the robot drove {back_m:.1f} m backward and {ahead_m:.1f} m forward: do both wheels "
-            "count forward?"
-        )
     return LoggedDrive(driven, clocks, listed, image_s, pose, tuple(notes), from_odometry)
 
 

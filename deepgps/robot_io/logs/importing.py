@@ -95,7 +95,7 @@ class _Import:
         )
         if not len(train.observation):
             found = ", ".join(f"{sum(one.kind == kind for one in driven.motions)} {kind}" for kind in KINDS)
-            hint = next(iter(self.drive.notes), "do their times overlap, and do both wheels count forward?")
+            hint = "; ".join(("do their times overlap, and do both wheels count forward?", *self.drive.notes[:1]))
             raise InputError(
                 f"{config.wheels.topic}, {self.source.topic}: no straight segment with two images was found (motions: "
                 f"{found}; images at known angles: {len(images.number)}); {hint}"

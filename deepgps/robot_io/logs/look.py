@@ -23,7 +23,10 @@ FIRST_MESSAGES = 50  # Messages of a topic that are decoded
 DECODED_TYPES = (JOINT_STATE, CAMERA_INFO, *IMAGES)
 SIDES = {"left": "right", "l": "r", "lh": "rh", "fl": "fr", "rl": "rr"}
 """What names a left wheel, and the right one beside it."""
-OTHER_ODOMETRY = re.compile(r"cam|t265|realsense|zed|vi(o|sual)|rf2o|icp|laser|lidar|scan|slam|filter|fus|gps", re.I)
+OTHER_ODOMETRY = re.compile(
+    r"cam|t265|realsense|zed|vi(o|sual)|rf2o|icp|laser|lidar|lio|loam|kiss|scan|slam|map|filter|[eu]kf|fus|combin|local|global|gps|imu",
+    re.I,
+)
 """Names of odometries that are not of the wheels alone."""
 COUNTS = re.compile(r"Encoder|Ticks?\b|/U?Int(16|32|64)")
 
@@ -50,8 +53,8 @@ class Seen(Heard):
 
     def _describe(self, message: Any) -> str | None:
         if self.kind == JOINT_STATE:
-            there = len(message.position) > 0
-            self.names.update(dict.fromkeys(message.name if there else ()))
+            there = [name for name, one in zip(message.name, message.position, strict=False) if np.isfinite(one)]
+            self.names.update(dict.fromkeys(there))
             return f"joints{'' if there else ' without positions'}: {', '.join(message.name)}"
         if self.kind == CAMERA_INFO:
             if (camera := read_info(message)) is None:

@@ -1,7 +1,6 @@
 """The wheels' angles and the poses in a log: joint states, the path of an odometry, motion capture."""
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,9 @@ from sim.geometry import wrap
 
 JOINT_STATE, ODOMETRY = "sensor_msgs/msg/JointState", "nav_msgs/msg/Odometry"
 MIN_LENGTH = 1e-6  # Length of a quaternion up to which it tells no orientation
+MAX_ASIDE_M = (
+    0.004  # Way aside between two messages of an odometry from which it jumps, if it is half of that ahead [m]
+)
 MAX_SIDEWAYS_SHARE = 0.2  # Part of an odometry's path that may go sideways; more, and its orientation is wrong
 POSE_KINDS = (
     *(f"geometry_msgs/msg/{name}" for name in ("PoseStamped", "PoseWithCovarianceStamped", "TransformStamped")),
@@ -79,8 +81,12 @@ class OdometryLog(PoseLog):
         """What the user should know of the messages."""
         notes = [f"{self.topic}: wheels are computed from the odometry, so they cannot be diagnosed"]
         step, _ = self.follow()
-        if np.abs(step.imag).sum() > MAX_SIDEWAYS_SHARE * np.abs(step).sum():
-            notes.append(f"{self.topic}: the odometry goes sideways, as no wheels can: is its orientation right?")
+        aside_m = np.abs(step.imag)
+        jumps = aside_m > np.maximum(MAX_ASIDE_M, np.abs(step.real) / 2)
+        if jumps.any() or aside_m.sum() > MAX_SIDEWAYS_SHARE * np.abs(step).sum():
+            how = f"{jumps.sum()} times, by up to {100 * aside_m.max():.1f} cm, as no wheels can"
+            why = "is its orientation right, or is it corrected by other sensors?"
+            notes.append(f"{self.topic}: the odometry jumps aside {how}: {why}")
         return [*super().list_notes(), *notes]
 
 
@@ -93,7 +99,7 @@ class JointLog(Heard):
     def __init__(self, config: WheelConfig) -> None:
         super().__init__(config.topic)
         self.config = config
-        self._names = set[str]()  # Of all joints in messages with positions
+        self._names = set[str]()  # Of all joints with positions
 
     @property
     def angle(self) -> np.ndarray:
@@ -104,35 +110,27 @@ class JointLog(Heard):
     def read(self, sample: Sample) -> tuple[float, ...] | None:
         """The positions of both wheels in a message, NaN where it lacks one; None: it holds neither."""
         message = sample.decode()
-        self._names.update(message.name if len(message.position) else ())
-        places = [find_joint(message.name, name, self.topic) for name in (self.config.left, self.config.right)]
-        found = [float(message.position[place]) if place < len(message.position) else math.nan for place in places]
-        return (
-            tuple(one if math.isfinite(one) else math.nan for one in found) if any(map(math.isfinite, found)) else None
-        )
+        angle = {name: one for name, one in zip(message.name, message.position, strict=False) if math.isfinite(one)}
+        self._names.update(angle)
+        found = tuple(float(angle.get(name, math.nan)) for name in (self.config.left, self.config.right))
+        return None if all(map(math.isnan, found)) else found
 
     def check(self) -> None:
         """Raise InputError unless there are positions of both wheels."""
         if self.without and not self._names:
-            raise InputError(f"{self.topic}: positions are empty in all messages, and the wheels' angles are needed")
-        for name, angle in zip((self.config.left, self.config.right), self.angle.T, strict=True):
-            if self._names and np.isnan(angle).all():
+            why = "positions are empty or nan in all messages, and the wheels' angles are needed"
+            raise InputError(f"{self.topic}: {why}")
+        names, angle = (self.config.left, self.config.right), self.angle
+        for name, one in zip(names, angle.T, strict=True):
+            if self._names and np.isnan(one).all():
                 there = ", ".join(sorted(self._names)[:12])
                 raise InputError(f"{self.topic} has no position of a joint {quote(name)}; its joints are {there}")
         super().check()
-
-
-def find_joint(names: Sequence[str], wanted: str, topic: str) -> int:
-    """Index of a joint by its name or the end of its name after a prefix such as ``tb3_0/``; beyond the last: none.
-    Raises InputError if two joints of the topic have such names."""
-    same = [index for index, name in enumerate(names) if name == wanted]
-    like = same or [index for index, name in enumerate(names) if name.endswith((f"/{wanted}", f".{wanted}"))]
-    if len(like) > 1:
-        raise InputError(
-            f"{topic}: {wanted}: several joints have this name, {', '.join(names[index] for index in like)}; give the "
-            "complete name in wheels.left and wheels.right"
-        )
-    return like[0] if like else len(names)
+        turns = np.nanmax(angle, axis=0) > np.nanmin(angle, axis=0)
+        if turns[0] != turns[1]:
+            raise InputError(
+                f"{self.topic}: the joint {quote(names[int(turns[0])])} never turns, and the other one does"
+            )
 
 
 def open_wheels(log: Log, config: WheelConfig) -> JointLog | OdometryLog:

@@ -18,7 +18,7 @@ class WheelConfig(Group):
     topic: str = Field(default="/joint_states", min_length=1, max_length=300)
     """Topic of the wheels: JointState, or Odometry, from whose path the wheels' angles are computed."""
     left: str = Field(default="wheel_left_joint", min_length=1, max_length=300)
-    """Name of the left wheel's joint; a prefix such as ``tb3_0/`` may be left out."""
+    """Name of the left wheel's joint."""
     right: str = Field(default="wheel_right_joint", min_length=1, max_length=300)
     """Name of the right wheel's joint."""
     backward: Literal["none", "left", "right", "both"] = "none"

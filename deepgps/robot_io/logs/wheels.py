@@ -33,7 +33,7 @@ MAX_TIMES = 5  # Times in a note
 JUMPING_ODOMETRY = "the odometry jumps, as one that is corrected by other sensors: give the wheels' own"
 JUMPING_WHEELS = (
     "the wheels' angles jump back and forth, as if more than one program published them (record only the one of the "
-    "wheels), or as if the recorder's clock was set back"
+    "wheels), a counter restarted within a turn, or the recorder's clock was set back"
 )
 
 
@@ -145,10 +145,10 @@ def _find_jumps(time_s: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.n
     return jumps[:, 0] | jumps[:, 1], apart[:, 0] | apart[:, 1]
 
 
-def _find_usual_top(size: np.ndarray) -> float:
+def _find_usual_top(size: np.ndarray, percentile: float = 95) -> float:
     """Largest of some sizes but for one in twenty, of those that are not zero; 0: all are."""
     moving = size[size > 1e-9]
-    return float(np.percentile(moving, 95)) if len(moving) else 0.0
+    return float(np.percentile(moving, percentile)) if len(moving) else 0.0
 
 
 def unwrap(angle: np.ndarray, ticks_per_rev: int) -> tuple[np.ndarray, list[str]]:
@@ -173,7 +173,7 @@ def _find_range(step: np.ndarray, tick: float) -> float | None:
 
     There, a counter jumps against the motion, always by the same angle; both at once at one time only is a restart.
     """
-    top = np.array([_find_usual_top(one) for one in np.abs(step).T])
+    top = np.array([2 * _find_usual_top(one, 50) for one in np.abs(step).T])  # some jump at every few messages
     jumps = np.abs(step) > JUMP_SPEED_RATIO * top + REST_RAD
     jumps[[0, -1]] = False
     rows, wheel = np.nonzero(jumps)
@@ -181,7 +181,7 @@ def _find_range(step: np.ndarray, tick: float) -> float | None:
         return None
     around = (step[rows - 1, wheel] + step[rows + 1, wheel]) / 2
     jump = step[rows, wheel] - around
-    if (jump * around >= 0).any() or np.ptp(np.abs(jump)) > REST_RAD + top.max() / 2:
+    if (jump * around >= 0).any() or np.ptp(np.abs(jump)) > REST_RAD + top.max() / 4:
         return None
     return float(np.rint(np.abs(jump).mean() / tick) * tick)
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from deepgps.learning.trainer import use_threads
 from deepgps.reports.plots import to_png
-from deepgps.reports.run_report import read_metrics
+from deepgps.reports.run_report import judge_run, read_metrics
 from deepgps.reports.table import tabulate
 from deepgps.reports.targets import tabulate_targets
 from deepgps.runs.provenance import describe_origin
@@ -24,6 +24,7 @@ from sim.errors import InputError
 from sim.files.atomic import write_bytes, write_text
 from sim.files.checksums import sha256
 
+MAX_DOUBTS = 20  # Runs whose doubts a report lists
 SUMS_FILE = "SHA256SUMS"  # List of published files, in the format of sha256sum
 
 
@@ -42,8 +43,10 @@ def report_study(study: Study, plans: Sequence[Plan], failures: Mapping[str, str
             rows = add_columns(rows, load(report.columns), folder)
         write_table(folder / "table.parquet", rows)
     runs = [folder / "runs" / plan.run for plan in plans]
-    environments = [read_metrics(run).get("environment", {}) for run in runs if (run / METRICS).is_file()]
-    text = f"{write_report(study, plans, failures, rows)}\n{describe_origin(environments)}\n"
+    metrics = {run.name: read_metrics(run) for run in runs if (run / METRICS).is_file()}
+    origin = describe_origin([one.get("environment", {}) for one in metrics.values()])
+    doubts = describe_doubts(metrics, rows, varied_names(study))
+    text = f"{write_report(study, plans, failures, rows)}\n{doubts}{origin}\n"
     write_text(folder / "table.md", text)
     if measured := [row for row in rows if row["failure"] is None]:
         varied = varied_names(study)
@@ -123,6 +126,16 @@ def write_report(study: Study, plans: Sequence[Plan], failures: Mapping[str, str
         cells = [[*(str(row[name]) for name in varied), row["run"], row["failure"]] for row in failed]
         blocks += ["## Failed", tabulate([*varied, "run", "reason"], cells)]
     return "\n\n".join(blocks) + "\n"
+
+
+def describe_doubts(metrics: Mapping[str, Mapping[str, Any]], rows: Sequence[Row], varied: Sequence[str]) -> str:
+    """What runs say against their own results, by their names and what varies, at most ``MAX_DOUBTS`` of them."""
+    found = {run: sentences for run, one in metrics.items() if "methods" in one and (sentences := judge_run(one))}
+    case = {row["run"]: ", ".join(f"{name} {row[name]}" for name in varied) for row in rows}
+    lines = [f"- `{run}` ({case[run]}): {' '.join(found[run])}" for run in list(found)[:MAX_DOUBTS]]
+    lines += [f"- and {len(found) - MAX_DOUBTS} more"] if len(found) > MAX_DOUBTS else []
+    head = f"Runs that doubt a result of theirs: {len(found) or 'none'} of {len(metrics)}."
+    return "\n".join([head, "", *lines, *([""] if lines else [])]) + "\n" if metrics else ""
 
 
 def varied_names(study: Study) -> list[str]:

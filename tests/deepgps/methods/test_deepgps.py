@@ -11,6 +11,7 @@ from deepgps.config.learning import LearnSettings, LiftSettings
 from deepgps.data.segments import Segments, read_segments, subsample
 from deepgps.learning.batches import Batch
 from deepgps.learning.losses import FLATTENING_END, FLATTENING_START, find_plane, flatten_later, imitate_first
+from deepgps.methods import registration
 from deepgps.methods.deepgps import SLACK_M, choose_start
 from deepgps.methods.fit import fit_method
 from deepgps.positioner.positioner import Positioner
@@ -51,6 +52,17 @@ def test_it_finds_positions_from_distances_alone(toy: Recording, trained: Path):
     assert np.sqrt(np.mean(error**2)) < 0.1
     training = read_training(trained)
     assert training["steps"] == STEPS and training["attempts"] == 1 and not training["fold"]["found"]
+
+
+def test_registration_on_distances_says_that_its_map_is_folded(
+    toy: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    place = open_truth(toy.folder).pose[:, :2]
+    monkeypatch.setattr(registration, "refine_distances", lambda recording, data, places, rng: places)
+    for name, found in (("flat", place), ("folded", np.abs(place))):
+        monkeypatch.setattr(registration, "make_initial_map", lambda *_, found=found: (torch.from_numpy(found), None))
+        fit_method("registration_distances", toy, SETTINGS, 0, tmp_path / name)
+        assert read_training(tmp_path / name)["fold"]["found"] == (name == "folded")
 
 
 @pytest.mark.slow

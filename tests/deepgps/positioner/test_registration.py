@@ -22,6 +22,7 @@ from deepgps.positioner.stored_positioner import load_positioner, save_positione
 from sim.alignment import Alignment
 from sim.geometry import wrap
 from sim.recording.format import open_recording, open_truth
+from tests.helpers.toy import make_toy
 
 SETTINGS = LearnSettings(features=FeatureSettings(principal=128, components=48))
 
@@ -307,3 +308,14 @@ def test_other_positions_for_the_same_images_have_larger_ellipses_and_are_refuse
     np.testing.assert_array_equal(near.reason, found.reason)
     assert (far.reason[found.reason == 0] == 3).all()
     np.testing.assert_array_equal(found.move(found.position).covariance, found.covariance)
+
+
+def test_exact_distances_to_landmarks_tell_the_place_to_a_millimetre(tmp_path: Path) -> None:
+    recording = make_toy(tmp_path / "toy")
+    place, test = (
+        part[..., :2] for part in (open_truth(recording.folder).pose, open_truth(recording.folder).test_pose)
+    )
+    exact = learn(prepare(recording, LearnSettings(), 0, tmp_path), place, np.zeros(len(place)))[0]
+    found = exact.register(np.asarray(recording.test_observation)[:, 0])
+    assert exact.registration.kernel.nugget < 1e-3
+    assert np.median(np.linalg.norm(found.position - test[:, 0], axis=1)) < 0.001

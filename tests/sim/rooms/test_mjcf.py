@@ -94,6 +94,25 @@ def test_a_hole_between_boxes_is_no_floor_and_stops_the_robot_but_a_crack_is_flo
         assert world.is_free(segment.pose[:, :2]).all()
 
 
+PIT = '<geom type="box" size="9 9 0.1" pos="0 0 -1"/>'
+STAGE = '<geom type="box" size="1 2 0.1" pos="-1 0 -0.1"/>'
+
+
+@pytest.mark.parametrize(
+    ("body", "said"),
+    [("", None), (PIT, "over what lies below it"), (STAGE, "beyond the ends of its boxes")],
+)
+def test_a_floor_that_is_added_over_something_is_noted(body: str, said: str | None, tmp_path: Path):
+    notes = list_notes(load_room(_write(tmp_path, WALLS + body)).compile())
+    assert notes == ([f"room: a plane at z = 0 is added as its floor, also {said}"] if said else [])
+
+
+def test_a_floor_at_another_height_is_named(tmp_path: Path):
+    high = load_room(_write(tmp_path, WALLS + '<geom type="plane" size="5 5 1" pos="0 0 0.2"/>'))
+    with pytest.raises(InputError, match=r"it has a floor at z = 0\.2 m, which must be at 0"):
+        find_free_space(high.compile(), 0.105, 0.37)
+
+
 def test_a_floor_that_is_only_drawn_is_no_floor(tmp_path):
     drawn = '<geom name="floor" type="plane" size="5 5 1" contype="0" conaffinity="0"/>'
     model = load_room(_write(tmp_path, WALLS + drawn)).compile()

@@ -3,6 +3,7 @@ they are and which numbers go where."""
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import yaml
@@ -32,6 +33,17 @@ fisheye_model: 1
 """
 
 
+def write_storage(name: str) -> str:
+    """The camera as OpenCV's FileStorage writes it, in the format that a file's name tells."""
+    store = cv2.FileStorage(name, cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
+    store.write("calibration_time", "Sun Nov 29")
+    for key, value in (("image_width", 512), ("image_height", 480), ("fisheye_model", 1)):
+        store.write(key, value)
+    store.write("camera_matrix", np.array(MATRIX).reshape(3, 3))
+    store.write("distortion_coefficients", np.array([FOUR]).T)
+    return store.releaseAndGetString()
+
+
 def read(folder: Path, values: dict | str) -> RawCamera:
     path = folder / "camera.yaml"
     path.write_text(values if isinstance(values, str) else yaml.safe_dump(values))
@@ -39,7 +51,7 @@ def read(folder: Path, values: dict | str) -> RawCamera:
 
 
 def test_one_camera_is_read_from_every_format(tmp_path: Path) -> None:
-    for values in (ROS, {"cam0": KALIBR}, OPENCV):
+    for values in (ROS, {"cam0": KALIBR}, OPENCV, *map(write_storage, ("a.xml", "a.yaml"))):
         assert read(tmp_path, values) == CAMERA
     omni = read(tmp_path, {"cam0": OMNI})
     assert (omni.model, omni.focal, omni.centre, omni.coefficients) == (
@@ -75,6 +87,12 @@ def test_other_files_are_named_and_what_is_wrong_is_said_in_one_line(tmp_path: P
         (
             "#polynomial (ocam_model.ss in MATLAB).\n\n5 -2.3e+02 0\n",
             "OCamCalib, whose polynomial is not read",
+        ),
+        ("%YAML:1.0\n---\nmodel_type: scaramuzza\n", "as of VINS: its model 'scaramuzza' is not read"),
+        ("<?xml version='1.0'?>\n<a><b></a>", "camera.yaml: "),
+        (
+            '<?xml version="1.0"?>\n<opencv_storage><a>1</a></opencv_storage>',
+            "Kalibr or OpenCV: 'cameramatrix' is missing",
         ),
         ("just text", "it is no calibration of camera_calibration, Kalibr or OpenCV"),
         ("a: [1", "it is no calibration of camera_calibration, Kalibr or OpenCV: "),

@@ -40,12 +40,14 @@ def test_a_database_needs_no_metadata(notes: list[Note], tmp_path: Path) -> None
         assert len(whole) == len(notes) and said == ()
         about = folder / "metadata.yaml"
         fits = about.read_text()
-        for text in ("", fits[:200], "\0" * 99, fits.replace(f"{form}.db3", "other.db3"), None):
+        second = fits.replace(f"- {form}.db3", f"- {form}.db3\n  - bag/other.db3")
+        for text in ("", fits[:200], "\0" * 99, fits.replace(f"{form}.db3", "other.db3"), second, None):
             about.unlink() if text is None else about.write_text(text)
             found, said = read_all(folder)
-            assert found == whole and said == (
-                "metadata.yaml is missing or does not fit: the files are read without it",
-            )
+            what = "lists other.db3, which is not there" if "other" in str(text) else "is missing or does not fit"
+            assert found == whole and said == (f"metadata.yaml {what}: the files are read without it",)
+        about.write_text(fits + 10**6 * "#")
+        assert read_all(folder) == (whole, ())
         values = yaml.safe_load(fits)
         values["rosbag2_bagfile_information"]["version"] = 10
         about.write_text(yaml.safe_dump(values))
@@ -79,9 +81,9 @@ def test_an_mcap_is_read_to_its_last_whole_chunk_and_a_bag_is_not(notes: list[No
         found, (said,) = read_all(log)
         times = [one.log_ns for one in many]
         assert found == times[: len(found)] and len(found) > 0.3 * len(times)
-        assert said.startswith("log.mcap: ") and said.endswith(" It is read to its last whole chunk.")
+        assert said.startswith("log.mcap: ") and said.endswith("; it is read to its last whole chunk")
     log.write_bytes(whole[:3000])
-    check_refused(log, r"log\.mcap: .* It has no whole chunk with messages of ROS 2")
+    check_refused(log, r"log\.mcap: .*; it has no whole chunk with messages of ROS 2")
     bag = write_log(tmp_path / "log", notes, "bag")
     bag.write_bytes(bag.read_bytes()[:-20])
     check_refused(bag, r"log\.bag cannot be read as a log: .*may be mended by rosbag reindex")
@@ -122,8 +124,8 @@ def test_files_that_are_something_else_are_named(tmp_path: Path) -> None:
     for data, message in (
         (b"version https://git-lfs.github.com/spec/v1\noid sha256:1\n", r"is a Git LFS pointer \(git lfs pull\)"),
         (b"\n<!DOCTYPE html>\n<html>", "is a web page in place of the file"),
-        (b"no log at all, but long enough to be one of some kind", "cannot be read as a log|It has no whole chunk"),
-        (b"SQLite format 3\0" + b"\1" * 200, "cannot be read as a log|It has no whole chunk"),
+        (b"no log at all, but long enough to be one of some kind", "cannot be read as a log|it has no whole chunk"),
+        (b"SQLite format 3\0" + b"\1" * 200, "cannot be read as a log|it has no whole chunk"),
     ):
         for suffix in (".bag", ".mcap", ".db3"):
             file = tmp_path / f"a{suffix}"

@@ -41,8 +41,8 @@ def read_joints(*messages: tuple[list[str], list[float]], **wheels: Any) -> Join
     return read
 
 
-def test_joints_are_found_in_any_order_and_with_a_prefix_and_may_be_missing() -> None:
-    known = (["l", "r"], [1.0, 2.0]), (["r", "l"], [2.0, 1.0]), (["arm", "b/l", "b/r"], [9.0, 1.0, 2.0])
+def test_joints_are_found_in_any_order_and_may_be_missing() -> None:
+    known = (["l", "r"], [1.0, 2.0]), (["r", "l"], [2.0, 1.0]), (["arm", "l", "r"], [9.0, 1.0, 2.0])
     read = read_joints(*known, (["l", "r"], [1.0]), (["arm"], [3.0]), (["l", "r"], []))
     np.testing.assert_array_equal(read.angle, [[1.0, 2.0]] * 3 + [[1.0, np.nan]])
     assert read.without == 2 and read.list_notes() == [
@@ -51,12 +51,32 @@ def test_joints_are_found_in_any_order_and_with_a_prefix_and_may_be_missing() ->
     for backward, signs in (("left", (-1, 1)), ("right", (1, -1)), ("both", (-1, -1))):
         np.testing.assert_array_equal(read_joints(*known, backward=backward).angle, [[1.0, 2.0] * np.array(signs)] * 3)
     for message, said in (
-        ((["l", "r"], []), "/joint_states: positions are empty in all messages, and the wheels' angles are needed"),
+        (
+            (["l", "r"], []),
+            "/joint_states: positions are empty or nan in all messages, and the wheels' angles are needed",
+        ),
+        ((["l", "r"], [np.nan, np.nan]), "/joint_states: positions are empty or nan in all messages"),
         ((["l", "x"], [1.0, 2.0]), "/joint_states has no position of a joint 'r'; its joints are l, x"),
-        ((["a/l", "b/l", "r"], [1.0, 2.0, 3.0]), "l: several joints have this name, a/l, b/l; give the complete name"),
     ):
         with pytest.raises(InputError, match=said):
             read_joints(message)
+    for name, turned in (("r", [0.5, 2.0]), ("l", [1.0, 0.5])):
+        with pytest.raises(InputError, match=f"the joint '{name}' never turns, and the other one does"):
+            read_joints(known[0], (["l", "r"], turned))
+
+
+@pytest.mark.parametrize("jump_m", [0.0, 0.01])
+def test_an_odometry_that_is_corrected_aside_is_noted(jump_m: float) -> None:
+    """A drive on a curve, of 1 cm and 0.01 rad a message; each twentieth, other sensors move it aside."""
+    wheels, at, yaw = OdometryLog(WheelConfig.model_validate(CONFIG["wheels"])), 0j, 0.0
+    for number in range(100):
+        at += 0.01 * np.exp(1j * (yaw + 0.005)) + 1j * np.exp(1j * yaw) * jump_m * (number % 20 == 7)
+        yaw += 0.01
+        position = SimpleNamespace(x=at.real, y=at.imag)
+        pose = SimpleNamespace(position=position, orientation=turn(yaw, 0.0, 1.0))
+        wheels.take(Sample("/odom", number, number, partial(SimpleNamespace, pose=SimpleNamespace(pose=pose))))
+    notes = [note for note in wheels.list_notes() if "aside" in note]
+    assert len(notes) == (jump_m > 0.0) and all("jumps aside 5 times, by up to 1.0 cm" in note for note in notes)
 
 
 def test_poses_and_odometries_without_an_orientation_are_left_out_or_refused() -> None:

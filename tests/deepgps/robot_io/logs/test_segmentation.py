@@ -85,7 +85,7 @@ def test_counters_that_wrap_are_unwrapped(full: float, stride: int, rest_s: floa
     assert not wrapped.broken.any()
 
 
-@pytest.mark.parametrize("ticks", [9000, 12345])
+@pytest.mark.parametrize("ticks", [2000, 9000, 12345])
 def test_a_counter_that_always_restarts_at_one_count_is_unwrapped(ticks: int) -> None:
     """From 0 to its range, or as some drivers do from 0 to its range in both directions."""
     wheels = sample((2.0,) * 6)
@@ -96,6 +96,15 @@ def test_a_counter_that_always_restarts_at_one_count_is_unwrapped(ticks: int) ->
         (note,) = found.notes
         assert not found.broken.any() and "taken as their range" in note
         assert abs(int(note.split(" after ")[1].split()[0]) - ticks) < 0.005 * ticks
+
+
+def test_a_counter_that_loses_counts_as_it_restarts_has_no_range() -> None:
+    """It is set to 0 when it is read beyond 20,000 ticks."""
+    wheels, count = sample((2.0,) * 6), np.zeros(2)
+    steps = np.diff(wheels.angle, axis=0, prepend=wheels.angle[:1])
+    counted = np.array([count := np.where(np.abs(count + step) >= 20_000 * TICK, 0.0, count + step) for step in steps])
+    (note,) = clean_wheels(wheels.time_s, counted, 4096, "/joint_states").notes
+    assert "the counter restarted, so the way between is unknown" in note
 
 
 def test_wheels_at_rest_may_differ_by_the_rounding_of_floats() -> None:
@@ -183,7 +192,7 @@ def test_a_clock_that_is_set_back_and_too_few_messages_are_refused() -> None:
     wheels = sample()
     for back_s in (0.712, 1.013):
         time_s = wheels.time_s - back_s * (wheels.time_s > 2.0)
-        with pytest.raises(InputError, match="or as if the recorder's clock was set back"):
+        with pytest.raises(InputError, match="or the recorder's clock was set back"):
             clean_wheels(time_s, wheels.angle, 4096, "/joint_states")
     with pytest.raises(InputError, match="/joint_states has 3 messages with both wheels; a drive has at least 20"):
         clean_wheels(np.arange(3.0), np.zeros((3, 2)), 4096, "/joint_states")

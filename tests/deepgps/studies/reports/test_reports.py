@@ -4,6 +4,7 @@ import re
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from deepgps.studies.plan import plan_runs
 from deepgps.studies.reports.pictures import draw
 from deepgps.studies.reports.record import VARIED_SETTINGS, Fields, StudyReport, Table, Target
 from deepgps.studies.reports.render import add_base, measure, pick, prepare, take, write_table, write_value
-from deepgps.studies.reports.report import load, report_study, varied_names, write_report
+from deepgps.studies.reports.report import describe_doubts, load, report_study, varied_names, write_report
 from deepgps.studies.study import Study, load_study
 from deepgps.studies.table import Row, choices, describe, read_rows, shorten
 from deepgps.terminal.progress import ignore
@@ -101,7 +102,7 @@ def test_the_small_study_runs_to_its_pictures(name: str, tmp_path: Path) -> None
     text = report_study(study, plans, {}, tmp_path)
     report, origin = text.rsplit("\n\n", 1)
     rows = read_rows(tmp_path / "table.parquet")
-    assert report + "\n" == write_report(study, plans, {}, rows)
+    assert text.startswith(write_report(study, plans, {}, rows))
     assert (SMALL_STUDIES_SAY.get(name, "") in report and origin.startswith("Made at ")) or name == "diagnose"
     assert set(varied_names(study)) <= set(rows[0])
     drawn = {path.stem for path in tmp_path.glob("figures/*.png") if path.stat().st_size > 10_000}
@@ -245,3 +246,13 @@ def test_maps_without_a_test_grid_are_neither_folded_nor_not() -> None:
         prepared = prepare(report, [{**row, "flipped": None} for row in rows], varied_names(study))
         heading = read_cells(write_table(report.tables[0], prepared, varied_names(study))[0], headings=True)[0]
         assert not {"flipped [%]", "folded", "unfolded"} & set(heading)
+
+
+def test_a_study_names_the_runs_that_doubt_their_results() -> None:
+    def measure_run(found: bool) -> dict[str, dict[str, dict[str, Any]]]:
+        return {"methods": {"deepgps": {"fold": {"found": found}}}}
+
+    rows = [{"run": name, "seed": seed} for seed, name in enumerate("abc")]
+    said = describe_doubts({"a": measure_run(False), "b": measure_run(True), "c": measure_run(False)}, rows, ["seed"])
+    assert "theirs: 1 of 3." in said and "`b` (seed 1): Not converged: DeepGPS (the map is folded)." in said
+    assert "none of 1" in describe_doubts({"a": measure_run(False)}, rows, ["seed"])
