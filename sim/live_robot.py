@@ -10,7 +10,7 @@ import numpy as np
 from sim.recording.chunks import observe
 from sim.rng import split
 from sim.robot.model import CONTROL_PERIOD_S, wheel_speeds
-from sim.robot.range_finder import clear_length
+from sim.robot.motion import look
 from sim.robot.world import RoomWorld
 from sim.sensors.camera.faults import make_develop
 from sim.sensors.camera.mount import draw_leans
@@ -18,7 +18,6 @@ from sim.sensors.encoder import count_ticks, describe_odometry, disturb_gaps, sc
 from sim.settings import SimSettings
 
 SENSOR = "fisheye"
-SIDE_MARGIN_M = 0.015  # So much is left beside the body, since it turns as it drives [m]
 
 
 class LiveRobot:
@@ -55,8 +54,8 @@ class LiveRobot:
         return count_ticks(self._read, self.settings.encoder)
 
     def clear_m(self, reach_m: float, turned_rad: float = 0.0) -> float:
-        """How far the robot could drive before it comes near to something [m], at an angle to the left [rad]."""
-        return clear_length(self.world.ranges(reach_m, turned_rad), self.radius_m, SIDE_MARGIN_M)
+        """How far the robot could drive before a contact [m], at most the reach, at an angle to the left [rad]."""
+        return look(self.world, reach_m, turned_rad)
 
     def bumped(self) -> bool:
         """Whether something presses against the robot."""

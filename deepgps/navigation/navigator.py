@@ -16,12 +16,13 @@ from sim.geometry import wrap
 
 STOP_AT_M, ARRIVAL_M = 0.03, 0.05  # It stops this near to its goal, and has arrived if it is this near at rest [m]
 REACH_M = 0.5  # How far ahead it looks with its ranges [m]
-STOP_M = 0.02  # It stops this far before what its ranges see [m]
+STOP_M = 0.03  # It stops this far before what its ranges see [m]
 BLOCK_M = 0.1  # Its middle keeps this far from what blocked it twice, or what it touched [m]
 AGAIN_M = 0.15  # It is blocked again if its middle is nearer than this to where it was blocked [m]
 ROLL_BACK_M, ROLL_BACK_MPS = 0.08, 0.08  # How far and how fast it rolls back from a contact [m], [m/s]
 REST_S = 0.2  # How long it rests before a look at rest [s]
 LOOKS, LOOK_RAD = 9, 0.8  # So many looks it takes, turned by so much each, to find where it is [rad]
+PLACES, AWAY_M = 3, 0.4  # It looks around at so many places, each so far from the one before [m]
 MAX_PLANS = 12  # So often it plans
 PATIENCE_S, PATIENCE_FACTOR = 60.0, 6.0  # A goal is refused after so long, and so many times what driving takes [s]
 RADIUS_M = 0.105  # Radius of the testbed's own robot [m]
@@ -98,7 +99,7 @@ class Navigator:
             if not self.source.is_sure():
                 yield from self._find_itself()
             if not self.source.is_sure():
-                return self._end(False, f"unsure where it is after {LOOKS} looks around")
+                return self._end(False, f"unsure where it is after {LOOKS} looks at {PLACES} places")
             if self._is_within(ARRIVAL_M):
                 if self.source.is_certain():
                     return self._end(True, "")
@@ -154,13 +155,25 @@ class Navigator:
             yield REST
 
     def _find_itself(self) -> Steps:
-        """Turn for one look after another until the robot is sure where it is."""
+        """Turn for one look after another until the robot is sure where it is; then do so a little way off."""
+        for _ in range(PLACES):
+            for _ in range(LOOKS):
+                yield from self._turn(LOOK_RAD)
+                yield from self._rest()
+                self._look()
+                if self.source.is_sure():
+                    return
+            yield from self._go_away()
+
+    def _go_away(self) -> Steps:
+        """Drive straight ahead, where that is clear."""
         for _ in range(LOOKS):
-            yield from self._turn(LOOK_RAD)
-            yield from self._rest()
-            self._look()
-            if self.source.is_sure():
+            if self._now.clear_m(0.0) < AWAY_M + STOP_M:
+                yield from self._turn(LOOK_RAD)
+        for _ in range(round(AWAY_M / ROLL_BACK_MPS / self._period_s)):
+            if self._now.clear_m(0.0) < STOP_M or self._now.bumped or self.source.is_sure():
                 return
+            yield Command(ROLL_BACK_MPS, 0.0)
 
     def _turn(self, angle: float) -> Steps:
         for _ in range(round(abs(wrap(angle)) / MAX_TURN_RPS / self._period_s)):

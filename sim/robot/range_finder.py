@@ -81,17 +81,15 @@ def fan_heights(height_m: float) -> np.ndarray:
     return np.concatenate([[LOWEST_FAN_M], np.linspace(second, top, count)])
 
 
-def clear_length(distance: np.ndarray, radius_m: float = RADIUS_M, margin_m: float = 0.0) -> float:
+def clear_length(distance: np.ndarray, radius_m: float = RADIUS_M) -> float:
     """Return how far the round body can go straight ahead [m] before it touches what the rays (K,) [m] met.
-
-    With a margin, the body counts as so much larger.
 
     A ray of length r at angle a met something r cos a ahead and r sin a to the side; the body's rim gets there after
     r cos a - sqrt(R^2 - (r sin a)^2).
     """
     fan = lay_fan(radius_m)
     distance = distance.reshape(-1, len(fan.angle))
-    layer, ray = np.nonzero(distance < fan.leaves_m + margin_m / np.maximum(np.abs(fan.sin), 1e-9))
+    layer, ray = np.nonzero(distance < fan.leaves_m)
     length = distance[layer, ray]
-    rim = np.sqrt(np.maximum((radius_m + margin_m) ** 2 - (length * fan.sin[ray]) ** 2, 0.0))
+    rim = np.sqrt(np.maximum(radius_m**2 - (length * fan.sin[ray]) ** 2, 0.0))
     return float((length * fan.cos[ray] - rim).min())
