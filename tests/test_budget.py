@@ -5,13 +5,13 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "lines of sim and deepgps": 42_107,
-    "files of sim and deepgps": 291,
-    "lines of tests": 29_231,
+    "lines of sim and deepgps": 43_545,
+    "files of sim and deepgps": 303,
+    "lines of tests": 29_672,
     "Python files directly in deepgps": 2,
-    "words of decisions": 6_307,
-    "words of all other pages by hand": 20_331,
-    "words of the reference that the code does not say": 3_316,
+    "words of decisions": 6_598,
+    "words of all other pages by hand": 20_941,
+    "words of the reference that the code does not say": 3_514,
     "words of published results": 8_000,
 }
 
