@@ -9,8 +9,8 @@ LIMITS = {
     "files of sim and deepgps": 303,
     "lines of tests": 29_672,
     "Python files directly in deepgps": 2,
-    "words of decisions": 6_598,
-    "words of all other pages by hand": 20_941,
+    "words of decisions": 6_601,
+    "words of all other pages by hand": 20_914,
     "words of the reference that the code does not say": 3_514,
     "words of published results": 8_000,
 }
