@@ -29,6 +29,10 @@ class Alignment:
         x, y = np.moveaxis(np.stack([np.cos(yaw), np.sin(yaw)], axis=-1) @ self.rotation.T, -1, 0)
         return np.arctan2(y, x)
 
+    def invert(self) -> "Alignment":
+        """The transform back, from the world's frame to the method's."""
+        return Alignment(self.rotation.T, -self.rotation.T @ self.translation, self.scale)
+
 
 def fit_alignment(
     source: np.ndarray, target: np.ndarray, kind: AlignmentKind, weight: np.ndarray | None = None

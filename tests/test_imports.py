@@ -25,12 +25,13 @@ ORDER = (
     ("sim.rooms",),
     ("sim.robot", "sim.sensors"),
     ("sim.recording",),
-    ("sim.planar", "sim.tools", "sim.environment", "sim.robot_log"),
+    ("sim.planar", "sim.tools", "sim.environment", "sim.live_robot", "sim.robot_log"),
     ("deepgps.config", "deepgps.terminal"),
     ("deepgps.data", "deepgps.runs"),
     ("deepgps.diagnosis", "deepgps.initial_map", "deepgps.learning"),
     ("deepgps.positioner",),
     ("deepgps.methods", "deepgps.tracking"),
+    ("deepgps.navigation",),
     ("deepgps.evaluation",),
     ("deepgps.reports",),
     ("deepgps.studies",),
@@ -59,6 +60,7 @@ WITHOUT_MUJOCO = {
         "sim.recording.format",
         "sim.recording.manifest",
         "sim.recording.derive",
+        "sim.recording.renderers",
         "sim.recording.turns",
         "sim.rooms.mjcf_files",
     ),
@@ -76,8 +78,10 @@ WITHOUT_MUJOCO = {
     *(f"sim.settings.{name}" for name in ("group", "robot", "world")),
     "sim.robot_log.mcap_file",
 }
-ENTRY_POINTS = ("deepgps.commands", "deepgps.runs.collect", "deepgps.run")
-STARTED_BY_ENTRY_POINTS = ("sim.recording.collect", "sim.planar", "sim.tools", "sim.sensors.camera.gl", "sim.robot_log")
+ENTRY_POINTS = ("deepgps.commands", "deepgps.runs.collect", "deepgps.run", "deepgps.navigation.simulate")
+STARTED_BY_ENTRY_POINTS = (
+    *("sim.recording.collect", "sim.planar", "sim.tools", "sim.sensors.camera.gl", "sim.robot_log", "sim.live_robot"),
+)
 ONLY_IN = {"rerun": "deepgps.viewer", "tyro": "deepgps.commands", "ray": "deepgps.studies.engine.ray_cluster"}
 OPENS_TRUTH = (
     *("deepgps.evaluation", "deepgps.viewer", "deepgps.data.labels"),

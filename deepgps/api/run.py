@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
     from deepgps.evaluation.error_field import ErrorField
+    from deepgps.navigation.navigator import Navigator
     from deepgps.positioner.pose import Poses
     from deepgps.positioner.positioner import Positioner
     from deepgps.tracking.causes import Causes
@@ -138,6 +139,30 @@ class Run:
         from deepgps.evaluation.track_run import track_run
 
         return track_run(self.folder, method, None if drive is None else Path(drive), ignore).track
+
+    def navigator(self, method: str | None = None, period_s: float = 0.04) -> "Navigator":
+        """A controller that drives the robot to goals on floor that it has driven, by tracked positions of a method.
+
+        Args:
+            method: Name of the method; None: the first of the run. It must give a yaw.
+            period_s: How long each command is kept [s].
+
+        Returns:
+            The navigator; its goals are in the method's own frame, and ``floor.places(...)`` are where they may be.
+
+        Raises:
+            InputError: There is no such method, or it gives no yaw.
+        """
+        from deepgps.learning.trainer import use_threads
+        from deepgps.navigation.navigator import Navigator
+        from deepgps.navigation.position import Tracked
+        from deepgps.navigation.route import lay_floor
+
+        positioner, recording = self.positioner(method), self.recording
+        source = Tracked(positioner, recording.manifest.odometry, self.choose(method))
+        with use_threads(self.scenario.learn.train.threads):
+            places = positioner.locate_training(recording.observation)
+        return Navigator(source, lay_floor(recording, places), period_s=period_s)
 
     def causes(self, method: str | None = None, drive: str | Path | None = None) -> "Causes | None":
         """Name why images of a drive are refused or suspicious.

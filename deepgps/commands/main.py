@@ -49,6 +49,7 @@ COMMANDS = {
     "diagnose": Command("results", "DiagnoseArguments", "say what is wrong with the wheels, and what to set"),
     "wheels": Command("robot", "WheelsArguments", "calibrate a real robot's wheels, and imitate their noise"),
     "track": Command("results", "TrackArguments", "track the robot through a drive, by images and odometry"),
+    "navigate": Command("results", "NavigateArguments", "drive a simulated robot to goals by its own positions"),
     "export": Command("robot", "ExportArguments", "write trajectories for other tools, or a method for a robot"),
     "locate": Command("robot", "LocateArguments", "say where images were taken, as they come"),
     "runs": Command("results", "RunsArguments", "list runs by what they change, with their errors"),

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -86,6 +86,44 @@ def track_command(words: Sequence[str]) -> None:
     if arguments.tum is not None:
         written += write_tums(arguments.tum, tracked)
     say(f"\nwrote {', '.join(str(path) for path in written if path)}")
+
+
+@dataclass(frozen=True)
+class NavigateArguments:
+    run: RunFolder
+    """The folder of a run of a simulated robot with a camera."""
+    goals: int = 50
+    """Number of goals, one after another."""
+    methods: tuple[str, ...] = ()
+    """Trained methods, dead_reckoning and truth (the true pose); none: the run's first and these two."""
+    changes: bool = False
+    """Drive in the light of another day, and every tenth time with furniture moved and a person in view."""
+    to: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="X Y")] = None
+    """Drive to this place alone [m]."""
+    frame: Literal["world", "map"] = "world"
+    """Frame of --to: the world's, or the first method's own."""
+    plugin: Plugins = ()
+    """Files of plugins, with methods of your own."""
+
+
+def navigate_command(words: Sequence[str]) -> None:
+    """Drive a simulated robot to goals in the run's own room, by its own tracked positions, and score the drives."""
+    arguments = parse(NavigateArguments, "navigate", words, navigate_command.__doc__)
+    if not 1 <= arguments.goals <= 10_000:
+        raise InputError(f"--goals {arguments.goals}: must be from 1 to 10,000")
+    load_plugins(arguments.plugin)
+    from deepgps.evaluation.navigate_run import Order, navigate_run
+    from deepgps.reports.navigate_page import print_drives
+    from deepgps.runs.collect import choose_renderer
+    from deepgps.viewer.navigation import write_drives
+
+    choose_renderer()
+    to, in_world = arguments.to, arguments.frame == "world"
+    order = Order(1 if to else arguments.goals, arguments.methods, arguments.changes, to, in_world)
+    with show_progress(errors) as progress:
+        driven = navigate_run(arguments.run, order, progress)
+    print_drives(driven, console)
+    say(f"\nwrote {driven.folder}; look at it: rerun {write_drives(arguments.run, driven)}")
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """What reports take from the files of runs: columns for the study's table, and pictures of rooms."""
 
+import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,16 +15,21 @@ from deepgps.config.methods import folder_of
 from deepgps.evaluation.error_field import find_rms, read_all_headings, read_fields
 from deepgps.evaluation.evaluate import measure_heading_spread
 from deepgps.evaluation.measures import SEEN_RADIUS_M, measure_visible
+from deepgps.evaluation.navigate_run import Order, navigate_run
+from deepgps.navigation.simulate import TRUE_POSE, WHEELS
 from deepgps.positioner.positioner import Positioner
 from deepgps.positioner.stored_positioner import load_positioner
 from deepgps.reports.plots import add_scale, print_error_field
 from deepgps.reports.run_report import read_metrics
-from deepgps.runs.collect import find_parts
+from deepgps.runs.collect import choose_renderer, find_parts
+from deepgps.runs.run_folder import open_run
 from deepgps.studies.reports.encoder import NEARNESS_M, name_near
 from deepgps.studies.reports.explore import DONE_SHARE
 from deepgps.studies.reports.maps import BINS, EDGES, SHAPE
+from deepgps.studies.reports.navigating import DRIVES
 from deepgps.studies.reports.record import PAPERS_ERRORS
 from deepgps.studies.table import Row, split_by
+from deepgps.terminal.progress import ignore
 from sim.errors import InputError
 from sim.recording.format import open_recording, open_truth, read_manifest
 from sim.settings import SimSettings
@@ -31,6 +37,7 @@ from sim.settings import SimSettings
 TURNED_IMAGES = 30
 FLOOR_STRIDE = 5  # Of so many cells of the floor one is looked at
 ENTERED_M, DOOR_M = 0.5, 0.6  # An image this near is in a room; test positions this near are beside a door [m]
+MAX_GOALS, GOAL_IMAGES = 50, 80  # Goals of a run, at most, and images of its drive for each
 
 
 def add_errors(run: Path, row: Row) -> Row:
@@ -67,6 +74,17 @@ def add_scans(run: Path, row: Row) -> Row:
     with safe_open(folder_of(run, row["method"]) / "weights.safetensors", "np") as weights:
         stored = sum(int(np.prod(weights.get_slice(name).get_shape())) for name in weights.offset_keys())
     return {**{name: float(value) for name, value in errors.items()}, "stored": stored}
+
+
+def add_drives(run: Path, row: Row) -> Row:
+    """A column for figures of drives to goals, by the source of positions; it drives them if that is not done."""
+    scenario = open_run(run)
+    if row["method"] != scenario.methods[0]:
+        return {}
+    goals = min(MAX_GOALS, max(2, scenario.drive.samples // GOAL_IMAGES))
+    choose_renderer()
+    driven = navigate_run(run, Order(goals, (*scenario.methods, WHEELS, TRUE_POSE)), ignore)
+    return {DRIVES: json.dumps(dict(driven.figures))}
 
 
 def add_labels(run: Path, row: Row) -> Row:
