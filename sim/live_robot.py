@@ -1,6 +1,6 @@
 """A robot in its room, sensor by sensor, for a controller from outside: motors in; ticks, ranges, bumper, images out.
 
-What no robot can sense is apart: ``pose``, ``place``, ``state`` and ``set_state``.
+What no robot can sense is apart: ``pose``, ``is_free``, ``place`` and ``continue_from``.
 """
 
 from collections.abc import Mapping
@@ -80,11 +80,7 @@ class LiveRobot:
         self.world.place(pose)
         self._angle = self.world.wheel_angle()
 
-    def state(self) -> dict[str, np.ndarray]:
-        """All on which what follows depends, but the generator of its noise, as arrays by name."""
-        return {"world": self.world.state(), "angle": self._angle, "read": self._read}
-
-    def set_state(self, state: Mapping[str, np.ndarray]) -> None:
-        """Continue exactly from a state."""
-        self.world.set_state(state["world"])
-        self._angle, self._read = state["angle"], state["read"]
+    def continue_from(self, other: "LiveRobot") -> None:
+        """Stand and move as another robot, whose encoders have counted the same."""
+        self.world.set_state(other.world.state())
+        self._angle, self._read = other._angle, other._read

@@ -3,7 +3,7 @@
 The alignments that lead goals to the world are fitted before the drives; the drives' true poses are read after them.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -15,32 +15,30 @@ from deepgps.config.methods import folder_of
 from deepgps.config.scenario import Scenario
 from deepgps.evaluation.stored_alignment import read_alignment
 from deepgps.learning.trainer import use_threads
-from deepgps.navigation.goals import MIN_WAY_M, check_goal, draw_goals
-from deepgps.navigation.route import BORDER, Floor, lay_floor
-from deepgps.navigation.simulate import TRUE_POSE, WHEELS, Trip, drive_trips
-from deepgps.positioner.stored_positioner import INDEX, load_positioner
+from deepgps.navigation.route import BORDER, MIN_WAY_M, Floor, check_goal, draw_goals, lay_floor, measure_along
+from deepgps.navigation.simulate import TRUE_POSE, WHEELS, Log, Trip, drive_trips
+from deepgps.positioner.stored_positioner import load_positioner
+from deepgps.runs.collect import find_parts
 from deepgps.runs.owned_folder import hold
 from deepgps.runs.run_folder import RUN, list_trained, open_run
 from deepgps.terminal.progress import Report
 from sim.alignment import Alignment
-from sim.errors import DamagedError, InputError, quote
-from sim.files.checksums import read_arrays, read_json, sha256, write_json
+from sim.errors import InputError, quote
+from sim.files.checksums import read_arrays, read_json, write_json
 from sim.geometry import FreeSpace
 from sim.processes import usable_cores
 from sim.recording.format import Recording, open_recording, open_truth
 from sim.recording.manifest import read_settings
 from sim.recording.renderers import Part, Renderers
 from sim.rng import stream
-from sim.settings import DeploymentSettings, SimSettings
+from sim.settings import DeploymentSettings
 
 FOLDER, METRICS = "navigate", "metrics.json"  # Folder of the drives in a run's folder, and the file of their figures
 SLIP_PER_M = 0.02  # Slip of wheels whose run has none, after a metre [m]
-CARRY_GOALS = 10  # Before every such goal the robot is carried elsewhere
-CHANGED_GOALS, CHANGED_PHASE = 10, 5  # Every such goal, from one on, is in a changed room
+CARRY_GOALS, CARRY_TRIES = 10, 200  # Before every such goal the robot is carried to one of so many places of its drive
 DIMMED_LIGHT, PUSH_M = 0.7, 0.3  # Light of another day, over that in training; how far small furniture was moved [m]
 LATE_GOALS = 20  # Goals after which dead reckoning is lost
 SUCCESS_LIMITS_M = (0.1, 0.2)  # Largest final distances of a success [m]
-CARRY_TRIES = 200  # Places of the drive among which the one is chosen to which the robot is carried
 START_S = 20.0  # How long a worker may take to build a room and load a method [s]
 
 
@@ -48,10 +46,10 @@ class Order(NamedTuple):
     """What drives are made."""
 
     goals: int  # Number of goals
-    methods: tuple[str, ...] = ()  # Sources of positions; none: the run's first method, dead reckoning and the truth
+    methods: Sequence[str] = ()  # Sources of positions; none: the run's first method, dead reckoning and the truth
     changes: bool = False  # Whether the light differs from training and, in a tenth of the drives, the room
     to: tuple[float, float] | None = None  # The only goal [m]; None: goals are drawn
-    in_world: bool = True  # Whether that one is in the world's frame, not in the first method's own
+    in_world: bool = True  # Whether that one is in the world's frame, not in that of the run's first method
 
 
 @dataclass(frozen=True)
@@ -60,158 +58,115 @@ class Driven:
 
     folder: Path  # Where their files are
     trips: Mapping[str, Trip]
-    logs: Mapping[str, Mapping[str, np.ndarray]]  # Arrays of the drives' logs
+    logs: Mapping[str, Log]
     figures: Mapping[str, Any]  # Figures of each source, as in ``navigate/metrics.json``
 
 
 def navigate_run(run: Path, order: Order, progress: Report) -> Driven:
-    """Drive to goals by each method, and write ``navigate/metrics.json`` and a log of each method's drives.
+    """Drive to goals by each method; write a log of each method's drives and ``navigate/metrics.json``.
 
-    What was driven before is not driven again. With ``to``, no figures are written. Raises InputError if the folder is
-    no run of a simulated robot with a camera, has no such method, or the goal is not on driven floor.
+    What was driven before is not driven again, and figures of other methods with the same goals stay. With ``to``, no
+    figures are written. Raises InputError if the folder is no run of a simulated robot with a camera, has no such
+    method, or the goal is not on driven floor.
     """
     scenario, folder = open_run(run), run / FOLDER if order.to is None else run / FOLDER / "to"
     with hold(run, RUN, "the run"):
-        recording = _open_simulated(run)
-        trips = plan_trips(run, scenario, recording, order, folder / "parts")
-        logs = _drive(trips, folder, progress)
-        space = open_truth(recording.folder).free_space
+        recording = open_recording(run / "recording")
+        if recording.manifest.source != "simulator":
+            raise InputError(f"{run} has learned from a robot's log: there is no simulated robot to drive")
+        if recording.kind != "polar_image":
+            raise InputError(f"{run} has learned from {recording.kind} observations: only a camera shows the way")
+        trips = plan_trips(run, scenario, recording, order)
+        logs, space = _drive(trips, folder, progress), open_truth(recording.folder).free_space
         figures = {name: score(logs[name], trip, space) for name, trip in trips.items()}
         if order.to is None:
-            head = {"goals": order.goals, "changes": order.changes}
-            write_json(folder / METRICS, {**head, "methods": figures})
+            one = next(iter(trips.values()))
+            head = {"changes": order.changes, "goals": np.round(one.alignment.apply(one.goals), 6).tolist()}
+            before = read_json(folder / METRICS) if (folder / METRICS).is_file() else {}
+            same = all(before.get(name) == value for name, value in head.items())
+            write_json(folder / METRICS, {**head, "methods": {**(before["methods"] if same else {}), **figures}})
     return Driven(folder, trips, logs, figures)
 
 
-def _open_simulated(run: Path) -> Recording:
-    recording = open_recording(run / "recording")
-    if recording.manifest.source != "simulator":
-        raise InputError(f"{run} has learned from a robot's log: there is no simulated robot to drive")
-    if recording.kind != "polar_image":
-        raise InputError(f"{run} has learned from observations of kind {recording.kind}: only a camera shows the way")
-    return recording
-
-
-def plan_trips(run: Path, scenario: Scenario, recording: Recording, order: Order, parts: Path) -> dict[str, Trip]:
-    """A trip of each source, to the same goals, from the same places; its files are in the folder ``parts``."""
+def plan_trips(run: Path, scenario: Scenario, recording: Recording, order: Order) -> dict[str, Trip]:
+    """A trip of each source, to the same goals on the floor of the run's first method, from the same places."""
     trained = [name for name in scenario.methods if name in list_trained(run)]
-    names = order.methods or (*trained[:1], WHEELS, TRUE_POSE)
     if not trained:
         raise InputError(f"{run} holds no trained method, so it has no map to drive by")
+    names = order.methods or (trained[0], WHEELS, TRUE_POSE)
     if wrong := [name for name in names if name not in (*trained, WHEELS, TRUE_POSE)]:
         raise InputError(f"--methods {quote(wrong[0])}: {run} has {', '.join((*trained, WHEELS, TRUE_POSE))}")
-    main = next((name for name in names if name in trained), trained[0])
-    used, floors, alignments = {main, *names} - {WHEELS, TRUE_POSE}, dict[str, Floor](), dict[str, Alignment]()
-    for name in used:
-        alignments[name] = read_alignment(folder_of(run, name))
+    maps = dict[str, tuple[Floor, Alignment]]()
+    for name in {trained[0], *names} - {WHEELS, TRUE_POSE}:
         with use_threads(1):
             places = load_positioner(folder_of(run, name)).locate_training(recording.observation)
-        floors[name] = lay_floor(recording, places)
-    floor, home = floors[main], alignments[main]
+        maps[name] = lay_floor(recording, places), read_alignment(folder_of(run, name))
+    floor, home = maps[trained[0]]
+    settings = read_settings(recording.manifest)
     if order.to is None:
-        goals = home.apply(draw_goals(floor, scenario.seed, order.goals))
+        doors = home.invert().apply(find_parts(settings)[1].reshape(-1, 2))
+        goals = home.apply(draw_goals(floor, scenario.seed, order.goals, doors))
     else:
         goals = np.array([order.to]) if order.in_world else home.apply(np.array([order.to]))
         check_goal(floor, home.invert().apply(goals[0]), f"--to {order.to[0]:g} {order.to[1]:g}")
-    placed = _place(recording, floor, home, goals, scenario.seed)
-    settings, changed = _choose_settings(read_settings(recording.manifest), order)
-    own = {name: name if name in used else main for name in names}
-    return {
-        name: Trip(
-            name=name,
-            folder=folder_of(run, own[name]),
-            floor=floors[own[name]],
-            goals=alignments[own[name]].invert().apply(goals),
-            placed=placed,
-            alignment=alignments[own[name]],
-            settings=settings,
-            changed=changed,
-            seed=scenario.seed,
-            parts=parts,
-        )
-        for name in names
-    }
-
-
-def _choose_settings(settings: SimSettings, order: Order) -> tuple[SimSettings, dict[int, SimSettings]]:
-    """Settings of the drives, whose wheels slip, and those of goals in a changed room, by their numbers."""
+    placed = _place(open_truth(recording.folder).pose, floor, home, goals, scenario.seed)
     encoder = settings.encoder.model_copy(update={"slip_per_m": settings.encoder.slip_per_m or SLIP_PER_M})
-    usual = DeploymentSettings(light=DIMMED_LIGHT) if order.changes else DeploymentSettings()
-    moved = usual.model_copy(update={"moved_m": PUSH_M, "person": 1})
-    usual, moved = (settings.model_copy(update={"encoder": encoder, "deployment": one}) for one in (usual, moved))
-    return usual, dict.fromkeys(range(CHANGED_PHASE, order.goals, CHANGED_GOALS), moved) if order.changes else {}
+    light = {"light": DIMMED_LIGHT} if order.changes else {}
+    usual, moved = (
+        settings.model_copy(update={"encoder": encoder, "deployment": DeploymentSettings(**light, **change)})
+        for change in ({}, {"moved_m": PUSH_M, "person": 1})
+    )
+    trips = {}
+    for name in names:
+        own = name if name in trained else trained[0]
+        there, world = maps[own]
+        at, changed = world.invert().apply(goals), moved if order.changes else None
+        trips[name] = Trip(name, folder_of(run, own), there, at, placed, world, usual, changed, scenario.seed)
+    return trips
 
 
-def _place(recording: Recording, floor: Floor, home: Alignment, goals: np.ndarray, seed: int) -> np.ndarray:
-    """True poses (G, 3) at which the robot is put before goals (G, 2): at places of its drive, far enough from them.
+def _place(truth: np.ndarray, floor: Floor, home: Alignment, goals: np.ndarray, seed: int) -> dict[int, np.ndarray]:
+    """True poses (3,) at which the robot is put before some of the goals (G, 2): where its drive was far from them.
 
-    NaN: it goes on from where it is. The floor is in the frame that an alignment leads to the world.
+    The floor is in the frame that an alignment leads to the world.
     """
-    truth, placed, rng = open_truth(recording.folder).pose, np.full((len(goals), 3), np.nan), stream(seed, "carried")
-    own, there = home.invert().apply(truth[:, :2]), home.invert().apply(goals)
+    placed, rng, back = dict[int, np.ndarray](), stream(seed, "carried"), home.invert()
     for number in range(0, len(goals), CARRY_GOALS):
-        goal, tried = floor.find(there[number]), rng.integers(len(truth), size=CARRY_TRIES)
-        cells = [floor.find(own[one]) for one in tried]
-        far = np.zeros(floor.free.shape) if goal is None else floor.ways(goal)[0]
-        ways = np.array([0.0 if cell is None else far[tuple(cell)] for cell in cells])
-        ways[~np.isfinite(ways)] = 0.0
-        chosen = tried[np.flatnonzero(ways >= min(MIN_WAY_M, ways.max()))[0]]
-        placed[number] = *truth[chosen, :2], rng.uniform(-np.pi, np.pi)
+        tried = truth[rng.integers(len(truth), size=CARRY_TRIES), :2]
+        ways = floor.measure_ways(floor.cells(back.apply(goals[number : number + 1]))[0])
+        far = ways[tuple(floor.cells(back.apply(tried)).T)]
+        place = tried[np.argmax(far >= min(MIN_WAY_M, far.max()))]
+        placed[number] = np.array([*place, rng.uniform(-np.pi, np.pi)])
     return placed
 
 
-def _drive(trips: Mapping[str, Trip], folder: Path, progress: Report) -> dict[str, dict[str, np.ndarray]]:
+def _drive(trips: Mapping[str, Trip], folder: Path, progress: Report) -> dict[str, Log]:
     """Drive what is not driven yet; returns the logs by method."""
     folder.mkdir(parents=True, exist_ok=True)
-    total, settings = sum(len(trip.goals) for trip in trips.values()), next(iter(trips.values())).settings
-
-    def tell(_: int = 0) -> None:
-        done = sum(trip.file(number).is_file() for trip in trips.values() for number in range(len(trip.goals)))
-        progress("navigate", done, total)
-
-    with Renderers(partial(drive_trips, dict(trips)), min(len(trips), usable_cores()), START_S) as workers:
-        for name, trip in trips.items():
-            keep_same(trip)
-            workers.give(Part(settings, np.empty((0, 0)), folder / f"{name}.npz"))
-        workers.finish(tell)
-    return {name: read_arrays(folder / f"{name}.npz") for name in trips}
+    paths = {name: folder / f"{name}.npz" for name in trips}
+    left = [
+        name for name, path in paths.items() if not (path.is_file() and read_arrays(path)["key"] == trips[name].key)
+    ]
+    progress("navigate", len(trips) - len(left), len(trips))
+    with Renderers(partial(drive_trips, trips), min(len(left), usable_cores()), START_S) as workers:
+        for name in left:
+            workers.give(Part(trips[name].settings, np.empty((0, 0)), paths[name]))
+        workers.finish(lambda drawn: progress("navigate", len(trips) - len(left) + drawn, len(trips)))
+    return {name: read_arrays(path) for name, path in paths.items()}
 
 
-def keep_same(trip: Trip) -> None:
-    """Remove the files of goals that belong to other drives, or follow one that does."""
-    trip.parts.mkdir(parents=True, exist_ok=True)
-    trained = sha256(trip.folder / INDEX)
-    for number, goal in enumerate(trip.goals):
-        settings = trip.changed.get(number, trip.settings).model_dump(mode="json")
-        order = {"method": trained, "goal": goal.tolist(), "settings": settings}
-        path = trip.file(number).with_suffix(".json")
-        try:
-            same = read_json(path) == order
-        except DamagedError:
-            same = False
-        if not same:
-            for late in range(number, len(trip.goals)):
-                trip.file(late).unlink(missing_ok=True)
-            write_json(path, order)
-
-
-def score(log: Mapping[str, np.ndarray], trip: Trip, space: FreeSpace) -> dict[str, float]:
+def score(log: Log, trip: Trip, space: FreeSpace) -> dict[str, float]:
     """Figures of drives to G goals, by the true poses in their log and the true places of the goals.
 
     Goals that moved furniture covers are left out.
     """
     floor = Floor(space.origin - BORDER * space.cell_m, space.cell_m, np.pad(space.reachable, BORDER))
-    numbers, places = np.flatnonzero(~log["covered"]), trip.alignment.apply(trip.goals)
-    rows = [log["row_goal"] == number for number in numbers]
+    numbers = np.flatnonzero(~log["covered"])
+    places, rows = trip.alignment.apply(trip.goals[numbers]), [log["row_goal"] == number for number in numbers]
     drives = [log["true"][row, :2] for row in rows]
-    final_m = np.array(
-        [np.linalg.norm(drive[-1] - places[number]) for number, drive in zip(numbers, drives, strict=True)]
-    )
-    ways_m = np.array(
-        [measure_way(floor, drive[0], places[number]) for number, drive in zip(numbers, drives, strict=True)]
-    )
-    driven_m = np.array([np.linalg.norm(np.diff(drive, axis=0), axis=1).sum() for drive in drives])
-    time_s = np.array([log["time_s"][row][-1] for row in rows])
+    final_m = np.linalg.norm([drive[-1] for drive in drives] - places, axis=1)
+    ways_m = np.array([measure_way(floor, drive[0], place) for drive, place in zip(drives, places, strict=True)])
+    driven_m = np.array([measure_along(drive)[-1] for drive in drives])
     arrived, contacts = log["arrived"][numbers], log["contacts"][numbers]
     near, useful = (arrived & (final_m < limit_m) for limit_m in SUCCESS_LIMITS_M)
     figures = {
@@ -224,17 +179,13 @@ def score(log: Mapping[str, np.ndarray], trip: Trip, space: FreeSpace) -> dict[s
         "final_distance_median_m": np.median(final_m),  # From the goal, of all drives [m]
         "final_distance_p95_m": np.percentile(final_m, 95.0),  # From the goal, of all drives [m]
         "refused": (~arrived).mean(),  # Share of goals that the robot refused
-        "time_s": time_s.mean(),  # To the end of a drive [s]
+        "time_s": np.mean([log["time_s"][row][-1] for row in rows]),  # To the end of a drive [s]
         "driven_m": driven_m.mean(),  # Way driven to a goal [m]
         "covered": log["covered"].sum(),  # Goals that moved furniture covers
     }
     for name, some, success in (
-        (
-            "carried_success_0_2m",
-            np.isfinite(trip.placed[numbers, 0]) & (numbers > 0),
-            useful,
-        ),  # it starts at the first
-        ("changed_success_0_2m", np.isin(numbers, list(trip.changed)), useful),  # with furniture moved and a person
+        ("carried_success_0_2m", np.isin(numbers, list(trip.placed)) & (numbers > 0), useful),
+        ("changed_success_0_2m", trip.changed[numbers], useful),  # with furniture moved and a person
         ("late_success_0_1m", numbers >= LATE_GOALS, near),
     ):
         figures |= {name: success[some].mean()} if some.any() else {}
@@ -242,7 +193,7 @@ def score(log: Mapping[str, np.ndarray], trip: Trip, space: FreeSpace) -> dict[s
 
 
 def measure_way(floor: Floor, start: np.ndarray, goal: np.ndarray) -> float:
-    """Shortest way [m] between two places (2,) over a floor; the straight line where it has none."""
-    straight_m, cells = float(np.linalg.norm(goal - start)), (floor.find(start), floor.find(goal))
-    way_m = np.inf if cells[0] is None or cells[1] is None else float(floor.ways(cells[0])[0][tuple(cells[1])])
-    return max(way_m, straight_m) if np.isfinite(way_m) else straight_m
+    """Shortest way [m] between two places (2,) over a floor; at least the straight line."""
+    first, last = floor.find(start), floor.find(goal)
+    way_m = 0.0 if first is None or last is None else floor.measure_ways(first)[tuple(last)]
+    return max(float(way_m), float(np.linalg.norm(goal - start)))

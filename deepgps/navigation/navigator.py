@@ -10,16 +10,15 @@ from typing import NamedTuple
 import numpy as np
 
 from deepgps.navigation.follow import AIM_RAD, MAX_TURN_RPS, REST, Command, Follower
-from deepgps.navigation.position import Source
-from deepgps.navigation.route import Floor
-from sim.geometry import wrap
+from deepgps.navigation.position import ARRIVAL_IMAGES, Source
+from deepgps.navigation.route import Floor, measure_along
 
 STOP_AT_M, ARRIVAL_M = 0.03, 0.05  # It stops this near to its goal, and has arrived if it is this near at rest [m]
 REACH_M = 0.5  # How far ahead it looks with its ranges [m]
 STOP_M = 0.03  # It stops this far before what its ranges see [m]
 BLOCK_M = 0.1  # Its middle keeps this far from what blocked it twice, or what it touched [m]
 AGAIN_M = 0.15  # It is blocked again if its middle is nearer than this to where it was blocked [m]
-ROLL_BACK_M, ROLL_BACK_MPS = 0.08, 0.08  # How far and how fast it rolls back from a contact [m], [m/s]
+SLOW_MPS, ROLL_BACK_M = 0.08, 0.08  # How fast it rolls back from a contact or goes off, and how far back [m/s], [m]
 REST_S = 0.2  # How long it rests before a look at rest [s]
 LOOKS, LOOK_RAD = 9, 0.8  # So many looks it takes, turned by so much each, to find where it is [rad]
 PLACES, AWAY_M = 3, 0.4  # It looks around at so many places, each so far from the one before [m]
@@ -56,13 +55,11 @@ class Navigator:
         self.source, self.floor, self._radius_m, self._period_s = source, floor, radius_m, period_s
         self.outcome: Outcome | None = None  # None: the robot is on its way
         self.route = np.empty((0, 2))  # The route that it follows (n, 2) [m]
-        self._looked = False  # Whether it has taken an image in this step
 
     def start(self, goal: np.ndarray) -> None:
         """Set out for a goal (2,) [m] in the method's frame, from wherever the robot stands."""
-        self.outcome, self.route, self._time_s = None, np.empty((0, 2)), 0.0
-        self._limit_s, self._clear, self._blocked = PATIENCE_S, self.floor, list[np.ndarray]()
-        self._goal = np.asarray(goal, float)
+        self.outcome, self.route, self._time_s, self._limit_s = None, np.empty((0, 2)), 0.0, PATIENCE_S
+        self._goal, self._clear, self._blocked = np.asarray(goal, float), self.floor, list[np.ndarray]()
         self._steps = self._drive()
 
     def step(self, senses: Senses) -> Command:
@@ -70,52 +67,43 @@ class Navigator:
         if self.outcome is not None:
             return REST
         self._time_s += self._period_s
-        self._looked = False
-        self._sense(senses)
+        self._now = senses
+        self.source.move(senses.ticks)
+        if self.source.wants_image():
+            self._look()
         try:
             command = next(self._steps)
-        except StopIteration:
+        except StopIteration as end:
+            self.outcome = end.value
             return REST
         if self._time_s > self._limit_s:
             self.outcome = Outcome(False, f"not reached in {self._limit_s:.0f} s")
         return Command(command.speed_mps, self.source.hand * command.turn_rps)
 
-    def _sense(self, senses: Senses) -> None:
-        self._now = senses
-        self.source.move(senses.ticks)
-        if self.source.wants_image():
-            self._look()
-
     def _look(self) -> None:
-        if not self._looked:
-            self.source.see(self._now.look())
-            self._looked = True
+        self.source.see(self._now.look())
 
-    def _drive(self) -> Steps:
-        """All that is done for a goal; sets the outcome at the end."""
+    def _drive(self) -> Generator[Command, None, Outcome]:
+        """All that is done for a goal."""
         for _ in range(MAX_PLANS):
-            yield from self._rest()
+            yield from self._keep(REST, REST_S)
             self._look()
             if not self.source.is_sure():
                 yield from self._find_itself()
             if not self.source.is_sure():
-                return self._end(False, f"unsure where it is after {LOOKS} looks at {PLACES} places")
+                return Outcome(False, f"unsure where it is after {LOOKS} looks at {PLACES} places")
             if self._is_within(ARRIVAL_M):
-                if self.source.is_certain():
-                    return self._end(True, "")
-                yield from self._turn(LOOK_RAD)
+                if self.source.is_sure(ARRIVAL_IMAGES):
+                    return Outcome(True, "")
+                yield from self._turn()
                 continue
             route = self._clear.plan(self.source.pose()[:2], self._goal)
             if route is None:
-                return self._end(False, "no way over floor that it has driven")
-            self.route = route
-            way_m = float(np.linalg.norm(np.diff(route, axis=0), axis=1).sum())
-            self._limit_s = max(self._limit_s, self._time_s + PATIENCE_S + PATIENCE_FACTOR * way_m / CRUISE_MPS)
+                return Outcome(False, "no way over floor that it has driven")
+            self.route, needed_s = route, float(measure_along(route)[-1]) / CRUISE_MPS
+            self._limit_s = max(self._limit_s, self._time_s + PATIENCE_S + PATIENCE_FACTOR * needed_s)
             yield from self._follow(route)
-        self._end(False, f"not reached, or not sure of it, with {MAX_PLANS} plans")
-
-    def _end(self, arrived: bool, reason: str) -> None:
-        self.outcome = Outcome(arrived, reason)
+        return Outcome(False, f"not reached, or not sure of it, with {MAX_PLANS} plans")
 
     def _is_within(self, distance_m: float) -> bool:
         """Whether it is so near to its goal."""
@@ -124,42 +112,27 @@ class Navigator:
     def _follow(self, route: np.ndarray) -> Steps:
         """Follow a route until the robot is there, blocked or unsure."""
         follower = Follower(route, self._clear.measure_edge(route))
-        while True:
-            pose = self.source.pose()
-            if self._now.bumped:
-                self._block(pose, 0.0)
-                return (yield from self._roll_back())
-            if self._is_within(STOP_AT_M) or not self.source.is_sure():
-                return
-            aside, clear_m = self.source.hand * follower.aim(pose), self._now.clear_m
+        while self._now.bumped or (self.source.is_sure() and not self._is_within(STOP_AT_M)):
+            pose, clear_m = self.source.pose(), self._now.clear_m
+            aside = self.source.hand * follower.aim(pose)
             free_m = min(clear_m(0.0), clear_m(aside)) - STOP_M
             command = follower.step(pose, free_m, self._period_s)
-            if free_m <= 0.01 and abs(aside) < AIM_RAD:
-                if any(np.linalg.norm(place - pose[:2]) < AGAIN_M for place in self._blocked):
-                    self._block(pose, clear_m(0.0))
+            if self._now.bumped or (free_m <= 0.01 and abs(aside) < AIM_RAD):
+                again = any(np.linalg.norm(place - pose[:2]) < AGAIN_M for place in self._blocked)
+                if self._now.bumped or again:  # something stands before the robot's rim
+                    ahead_m = self._radius_m + (0.0 if self._now.bumped else clear_m(0.0))
+                    there = pose[:2] + ahead_m * np.array([np.cos(pose[2]), np.sin(pose[2])])
+                    self._clear = self._clear.block(there, BLOCK_M)
                 self._blocked.append(pose[:2])
-                return (yield from self._roll_back())
+                return (yield from self._keep(Command(-SLOW_MPS, 0.0), ROLL_BACK_M / SLOW_MPS))
             yield command
-
-    def _block(self, pose: np.ndarray, clear_m: float) -> None:
-        """Note that something stands so far ahead of the robot's rim [m]."""
-        ahead = np.array([np.cos(pose[2]), np.sin(pose[2])])
-        self._clear = self._clear.block(pose[:2] + (clear_m + self._radius_m) * ahead, BLOCK_M)
-
-    def _roll_back(self) -> Steps:
-        for _ in range(round(ROLL_BACK_M / ROLL_BACK_MPS / self._period_s)):
-            yield Command(-ROLL_BACK_MPS, 0.0)
-
-    def _rest(self) -> Steps:
-        for _ in range(round(REST_S / self._period_s)):
-            yield REST
 
     def _find_itself(self) -> Steps:
         """Turn for one look after another until the robot is sure where it is; then do so a little way off."""
         for _ in range(PLACES):
             for _ in range(LOOKS):
-                yield from self._turn(LOOK_RAD)
-                yield from self._rest()
+                yield from self._turn()
+                yield from self._keep(REST, REST_S)
                 self._look()
                 if self.source.is_sure():
                     return
@@ -169,12 +142,15 @@ class Navigator:
         """Drive straight ahead, where that is clear."""
         for _ in range(LOOKS):
             if self._now.clear_m(0.0) < AWAY_M + STOP_M:
-                yield from self._turn(LOOK_RAD)
-        for _ in range(round(AWAY_M / ROLL_BACK_MPS / self._period_s)):
+                yield from self._turn()
+        for command in self._keep(Command(SLOW_MPS, 0.0), AWAY_M / SLOW_MPS):
             if self._now.clear_m(0.0) < STOP_M or self._now.bumped or self.source.is_sure():
                 return
-            yield Command(ROLL_BACK_MPS, 0.0)
+            yield command
 
-    def _turn(self, angle: float) -> Steps:
-        for _ in range(round(abs(wrap(angle)) / MAX_TURN_RPS / self._period_s)):
-            yield Command(0.0, float(np.copysign(MAX_TURN_RPS, angle)))
+    def _turn(self) -> Steps:
+        return self._keep(Command(0.0, MAX_TURN_RPS), LOOK_RAD / MAX_TURN_RPS)
+
+    def _keep(self, command: Command, time_s: float) -> Steps:
+        for _ in range(round(time_s / self._period_s)):
+            yield command

@@ -1,4 +1,4 @@
-"""Where the robot is, as its controller takes it: tracked by images and wheels, by wheels alone, or told.
+"""Where the robot is, as its controller takes it: told, by wheels alone, or tracked by images and wheels.
 
 All poses are in the method's own frame. Where that is mirrored, a turn to the left is one to the right in it: then the
 ``hand`` is -1, else 1.
@@ -12,8 +12,8 @@ from deepgps.data.segments import travel
 from deepgps.positioner.pose import find_poses
 from deepgps.positioner.positioner import Positioner
 from deepgps.tracking.filter import State, begin, estimate, predict, see
-from deepgps.tracking.fix import begin_trail, take_fix
-from deepgps.tracking.motion import Motion, mirror
+from deepgps.tracking.fix import take_fix
+from deepgps.tracking.motion import Motion, rotate
 from sim.errors import InputError
 from sim.geometry import wrap
 from sim.sensors.encoder import expect_variance
@@ -23,18 +23,20 @@ DISTANCE_STD_SHARE, TURN_STD_SHARE = 0.01, 0.02  # Of a distance or a turn by th
 REST_STD_M, REST_STD_RAD = 0.0005, 0.002  # Least standard deviations of a motion [m], [rad]
 MATCH_M, MATCH_RAD = 0.3, 0.35  # An image supports a pose that is nearer to its own than this [m], [rad]
 CARRIED_IMAGES = 3  # After so many accepted images in a row that contradict the pose, the robot was carried
-SUPPORTING_IMAGES = 2, 6  # So many images in a row support a pose by which the robot drives, and says that it is there
+DRIVING_IMAGES, ARRIVAL_IMAGES = 2, 6
+"""So many images in a row support a pose by which the robot drives, and says that it is there."""
 BLIND_LIMITS = np.array([1.0, 6.0])  # Way and turn without such an image, after which the robot is unsure [m], [rad]
 
 
 class Source:
-    """Says where the robot is; by default it is always sure, and takes neither images nor wheels."""
+    """Says where the robot is: as a function tells, as for the true pose; always sure, without images or wheels."""
 
-    hand = 1
+    def __init__(self, find: Callable[[], np.ndarray], hand: int = 1) -> None:
+        self._find, self.hand = find, hand
 
     def pose(self) -> np.ndarray:
         """The pose x, y [m], yaw [rad] (3,) now; NaN: unknown."""
-        raise NotImplementedError
+        return self._find()
 
     def covariance(self) -> np.ndarray:
         """Covariance (2, 2) of the position [m^2]; zero: the source tells none."""
@@ -50,37 +52,16 @@ class Source:
     def see(self, image: np.ndarray) -> None:
         """Take an image (rings, sectors, 3), wanted or not."""
 
-    def is_sure(self) -> bool:
-        """Whether the robot may drive by the pose."""
+    def is_sure(self, images: int = DRIVING_IMAGES) -> bool:
+        """Whether so many images in a row, or its filter, support the pose."""
         return True
-
-    def is_certain(self) -> bool:
-        """Whether the robot may say by the pose that it has arrived."""
-        return True
-
-    def pack(self) -> dict[str, np.ndarray]:
-        """What it knows between two goals, as arrays by name."""
-        return {}
-
-    def unpack(self, arrays: Mapping[str, np.ndarray]) -> None:
-        """Continue with what it knew; the encoders count on."""
-
-
-class Told(Source):
-    """The pose that a function tells at any time, as the true one: the ceiling."""
-
-    def __init__(self, find: Callable[[], np.ndarray], hand: int = 1) -> None:
-        self._find, self.hand = find, hand
-
-    def pose(self) -> np.ndarray:
-        return self._find()
 
 
 class Wheels:
-    """The robot's way by its encoders since a restart, in its own frame then."""
+    """The robot's way by its encoders since a restart, in its own frame then; a hand of -1 mirrors it."""
 
-    def __init__(self, odometry: Mapping[str, float]) -> None:
-        self.odometry, self._ticks = odometry, None
+    def __init__(self, odometry: Mapping[str, float], hand: int = 1) -> None:
+        self.odometry, self._hand, self._ticks = odometry, hand, None
         self.restart()
 
     def restart(self) -> None:
@@ -88,7 +69,7 @@ class Wheels:
 
     def move(self, ticks: np.ndarray) -> None:
         if self._ticks is not None:
-            left, right = travel(ticks - self._ticks, self.odometry).tolist()
+            left, right = travel(ticks - self._ticks, self.odometry)[:: self._hand].tolist()
             turn = (right - left) / self.odometry["track_m"]
             middle = self.turn + turn / 2.0
             self.step = self.step + (left + right) / 2.0 * np.array([np.cos(middle), np.sin(middle)])
@@ -108,32 +89,20 @@ class Wheels:
         ahead = noise + (DISTANCE_STD_SHARE * self.way_m) ** 2 + REST_STD_M**2
         return Motion(self.step, self.turn, np.diag([ahead, turn * self.way_m**2 / 4.0 + REST_STD_M**2, turn]))
 
-    def follow(self, pose: np.ndarray, hand: int) -> np.ndarray:
-        """The pose (3,) now by that at the restart, in a frame of this hand."""
-        cos, sin, (ahead, left) = np.cos(pose[2]), np.sin(pose[2]), self.step * (1, hand)
-        place = pose[:2] + (cos * ahead - sin * left, sin * ahead + cos * left)
-        return np.array([*place, wrap(pose[2] + hand * self.turn)])
+    def follow(self, pose: np.ndarray) -> np.ndarray:
+        """The pose (3,) now by that at the restart."""
+        return np.array([*(pose[:2] + rotate(pose[2]) @ self.step), wrap(pose[2] + self.turn)])
 
 
 class Reckoned(Source):
     """Dead reckoning by the encoders alone, from a known start (3,)."""
 
     def __init__(self, odometry: Mapping[str, float], start: np.ndarray, hand: int = 1) -> None:
-        self._wheels, self._pose, self.hand = Wheels(odometry), np.asarray(start, float), hand
-
-    def pose(self) -> np.ndarray:
-        return self._pose
+        self._wheels = Wheels(odometry, hand)
+        super().__init__(lambda: self._wheels.follow(start), hand)
 
     def move(self, ticks: np.ndarray) -> None:
-        self._wheels.restart()
         self._wheels.move(ticks)
-        self._pose = self._wheels.follow(self._pose, self.hand)
-
-    def pack(self) -> dict[str, np.ndarray]:
-        return {"pose": self._pose}
-
-    def unpack(self, arrays: Mapping[str, np.ndarray]) -> None:
-        self._pose = arrays["pose"]
 
 
 class Tracked(Source):
@@ -147,12 +116,12 @@ class Tracked(Source):
         if positioner.mirrored is None:
             raise InputError(f"{name} gives no yaw, so a robot cannot drive by it")
         self.hand = -1 if positioner.mirrored else 1
-        self._positioner, self._wheels = positioner, Wheels(odometry)
+        self._positioner, self._wheels = positioner, Wheels(odometry, self.hand)
         self._forget()
 
     def pose(self) -> np.ndarray:
         best = estimate(self._state)
-        return self._wheels.follow(np.array([*best.position, best.yaw]), self.hand)
+        return self._wheels.follow(np.array([*best.position, best.yaw]))
 
     def covariance(self) -> np.ndarray:
         state = self._predict()
@@ -172,8 +141,7 @@ class Tracked(Source):
         away_m, away_rad = float(np.linalg.norm(fix.position - pose[:2])), abs(wrap(fix.yaw - pose[2]))
         near = away_m < MATCH_M and not away_rad >= MATCH_RAD  # a yaw may be NaN
         accepted = fix.usable and fix.accepted and not fix.others
-        contradicts = accepted and not near and np.isfinite(away_m)
-        self._contradicting = self._contradicting + 1 if contradicts else 0
+        self._contradicting = self._contradicting + 1 if accepted and not near and np.isfinite(away_m) else 0
         if self._contradicting >= CARRIED_IMAGES:
             self._forget()
         self._state = see(self._state, fix)
@@ -182,23 +150,9 @@ class Tracked(Source):
         elif accepted:
             self._supporting = 0
 
-    def is_sure(self) -> bool:
+    def is_sure(self, images: int = DRIVING_IMAGES) -> bool:
         seen = not self._contradicting and (self._blind < BLIND_LIMITS).all()
-        return bool(seen and (self._supporting >= SUPPORTING_IMAGES[0] or estimate(self._state).accepted))
-
-    def is_certain(self) -> bool:
-        return self.is_sure() and (self._supporting >= SUPPORTING_IMAGES[1] or estimate(self._state).accepted)
-
-    def pack(self) -> dict[str, np.ndarray]:
-        state, counts = self._predict(), np.array([self._supporting, self._contradicting])
-        known = {name: getattr(state, name) for name in ("mean", "covariance", "evidence")}
-        return {**known, "blind": self._blind, "counts": counts}
-
-    def unpack(self, arrays: Mapping[str, np.ndarray]) -> None:
-        mean, covariance, evidence = (arrays[name] for name in ("mean", "covariance", "evidence"))
-        self._state = State(mean, covariance, evidence, begin_trail(), mapped=self._positioner.mapped)
-        self._supporting, self._contradicting = arrays["counts"].tolist()
-        self._blind = arrays["blind"]
+        return bool(seen and (self._supporting >= images or estimate(self._state).accepted))
 
     def _forget(self) -> None:
         """Know nothing of the pose."""
@@ -207,5 +161,4 @@ class Tracked(Source):
 
     def _predict(self) -> State:
         """The filter's state now."""
-        motion = self._wheels.motion()
-        return predict(self._state, mirror(motion) if self.hand < 0 else motion)
+        return predict(self._state, self._wheels.motion())

@@ -1,4 +1,4 @@
-"""The floor that the robot has driven, in a method's own frame, and routes over it that keep away from its edge."""
+"""The floor that the robot has driven, in a method's own frame: goals, and routes that keep away from its edge."""
 
 from dataclasses import dataclass, replace
 from itertools import product
@@ -12,12 +12,17 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import KDTree
 
 from deepgps.data.segments import travel
+from sim.errors import InputError
 from sim.recording.format import Recording
+from sim.rng import stream
 
 CELL_M = 0.05  # Side of a cell [m]
 DRIVEN_M = 0.06  # Floor this near to the line that the robot's middle has driven counts as driven [m]
 MAX_DIFFERENCE_M = 0.1  # Of two images' distance by the map and by the wheels, beyond which the map is wrong there [m]
 EDGE_M, EDGE_COST = 0.25, 4.0  # Nearer than this to the edge, a metre costs up to so many more [m]
+MIN_WAY_M = 2.0  # Least way from one goal to the next [m]
+MIN_EDGE_M = 0.12  # Least distance of a goal from the edge of the driven floor, where there is such a place [m]
+DOOR_GOALS, DOOR_M = 3, 0.5  # Every such goal is through a door; floor this near to a door's middle is its own [m]
 REACH_M = 0.4  # A place this near to driven floor can be left or reached [m]
 SMOOTHINGS = 8  # How often each point of a route is moved to the middle of its neighbours
 BORDER = 2  # Cells at each side of a floor that are never free
@@ -49,16 +54,18 @@ class Floor:
         apart_m = np.linalg.norm(self.places(cells) - place, axis=1)
         return cells[apart_m.argmin()] if apart_m.min() <= REACH_M else None
 
+    def cells(self, places: np.ndarray) -> np.ndarray:
+        """Cells (n, 2) of places (n, 2) [m]; where there is none, one of the border, which is not free."""
+        cells = np.rint((places - self.corner_m) / self.cell_m).astype(int)[:, ::-1]
+        return np.clip(cells, 0, np.array(self.free.shape) - 1)
+
     def is_free(self, places: np.ndarray) -> np.ndarray:
         """Whether places (n, 2) [m] are on the floor (n,) bool."""
-        cells = np.rint((places - self.corner_m) / self.cell_m).astype(int)[:, ::-1]
-        inside = np.all((cells >= 0) & (cells < self.free.shape), axis=1)
-        return inside & self.free[tuple(np.where(inside[:, None], cells, 0).T)]
+        return self.free[tuple(self.cells(places).T)]
 
     def measure_edge(self, places: np.ndarray) -> np.ndarray:
         """Distance of places (n, 2) [m] on or beside the floor from where it ends (n,) [m]."""
-        cells = np.rint((places - self.corner_m) / self.cell_m).astype(int)[:, ::-1]
-        return self.edge_m[tuple(np.clip(cells, 0, np.array(self.free.shape) - 1).T)]
+        return self.edge_m[tuple(self.cells(places).T)]
 
     def block(self, place: np.ndarray, radius_m: float) -> "Floor":
         """The floor without what is within a radius [m] of a place (2,) [m]."""
@@ -85,6 +92,10 @@ class Floor:
         graph = csr_matrix((weight, (rows, columns)), (number.size, number.size))
         far, before = dijkstra(graph, indices=number[tuple(start)], return_predecessors=True)
         return far.reshape(self.free.shape), before
+
+    def measure_ways(self, cell: np.ndarray) -> np.ndarray:
+        """Way over the floor from a cell (2,) to each cell [m]; 0 where there is none."""
+        return np.nan_to_num(self.ways(cell)[0], posinf=0.0)
 
     def plan(self, start: np.ndarray, goal: np.ndarray) -> np.ndarray | None:
         """A smooth route (n, 2) [m] between two places (2,) that keeps away from the edge; None: there is none."""
@@ -141,3 +152,38 @@ def lay_floor(recording: Recording, places: np.ndarray) -> Floor:
     driven = (KDTree(line).query(middles)[0] <= DRIVEN_M) & bool(lines)
     parts, _ = label(driven, np.ones((3, 3)))  # pyright: ignore[reportGeneralTypeIssues]
     return Floor(low, CELL_M, driven & (parts == np.bincount(parts[driven], minlength=1).argmax()))
+
+
+def draw_goals(floor: Floor, seed: int, count: int, doors: np.ndarray | None = None) -> np.ndarray:
+    """Goals (count, 2) [m], each at least ``MIN_WAY_M`` over the floor from the one before, or else the farthest.
+
+    A third of them are through one of the doors (n, 2) [m], where the robot has driven. The first of more goals are
+    those of fewer. Raises InputError if the floor has no place for a goal.
+    """
+    rng, open_floor = stream(seed, "goals"), floor
+    cells = np.argwhere(floor.free & (floor.edge_m >= min(MIN_EDGE_M, floor.edge_m.max())))
+    if not len(cells):
+        raise InputError("the method's map has no floor that the robot has driven: it has no place for a goal")
+    for door in () if doors is None else doors:
+        open_floor = open_floor.block(door, DOOR_M)
+    rooms, _ = label(open_floor.free, np.ones((3, 3)))  # pyright: ignore[reportGeneralTypeIssues]
+    room = rooms[tuple(cells.T)]
+    goals = [int(rng.integers(len(cells)))]
+    for number in range(count):
+        far = floor.measure_ways(cells[goals[-1]])[tuple(cells.T)]
+        apart = far >= min(MIN_WAY_M, far.max())
+        through = apart & (room != room[goals[-1]]) & (room > 0)
+        if number % DOOR_GOALS == DOOR_GOALS - 1 and room[goals[-1]] and through.any():
+            apart = through
+        apart = np.flatnonzero(apart)
+        goals.append(int(apart[rng.integers(len(apart))]))
+    return floor.places(cells[goals[1:]])
+
+
+def check_goal(floor: Floor, goal: np.ndarray, name: str) -> None:
+    """Raise InputError, with a name for the goal (2,) [m], if it is not on the floor that the robot has driven."""
+    if not np.isfinite(goal).all():
+        raise InputError(f"{name}: a goal is two finite numbers, X and Y [m]")
+    if not floor.is_free(goal[None])[0]:
+        away_m = np.linalg.norm(floor.places(np.argwhere(floor.free)) - goal, axis=1).min()
+        raise InputError(f"{name}: the robot has driven no floor there; the nearest is {away_m:.2f} m away")

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from deepgps.navigation.goals import MIN_WAY_M, check_goal, draw_goals
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deepgps.evaluation.navigate_run import keep_same, score
 from deepgps.navigation import position, simulate
 from deepgps.navigation.follow import ACCELERATION_MPS2, MAX_SPEED_MPS, MAX_TURN_RPS, Follower
-from deepgps.navigation.goals import MIN_WAY_M, check_goal, draw_goals
 from deepgps.navigation.navigator import Navigator, Outcome
 from deepgps.navigation.position import Reckoned, Told, Tracked, Wheels
 from deepgps.navigation.route import CELL_M, EDGE_M, Floor, lay_floor, measure_along
