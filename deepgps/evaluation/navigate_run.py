@@ -144,14 +144,13 @@ def _drive(trips: Mapping[str, Trip], folder: Path, progress: Report) -> dict[st
     """Drive what is not driven yet; returns the logs by method."""
     folder.mkdir(parents=True, exist_ok=True)
     paths = {name: folder / f"{name}.npz" for name in trips}
-    left = [
-        name for name, path in paths.items() if not (path.is_file() and read_arrays(path)["key"] == trips[name].key)
-    ]
-    progress("navigate", len(trips) - len(left), len(trips))
+    done = [name for name, path in paths.items() if path.is_file() and read_arrays(path)["key"] == trips[name].key]
+    left = [name for name in trips if name not in done]
+    progress("navigate", len(done), len(trips))
     with Renderers(partial(drive_trips, trips), min(len(left), usable_cores()), START_S) as workers:
         for name in left:
             workers.give(Part(trips[name].settings, np.empty((0, 0)), paths[name]))
-        workers.finish(lambda drawn: progress("navigate", len(trips) - len(left) + drawn, len(trips)))
+        workers.finish(lambda drawn: progress("navigate", len(done) + drawn, len(trips)))
     return {name: read_arrays(path) for name, path in paths.items()}
 
 

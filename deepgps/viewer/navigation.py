@@ -57,7 +57,7 @@ def write_drives(run: Path, driven: Driven) -> Path:
         goals = {"positions": lift(world.apply(trip.goals[:shown]), 2 * LAYER_M)}
         send_shapes(stream, ROOT, at(start_s[:shown]), {"goal": (goals, GOAL_COLOUR, 0.06)})
         route, lengths = (
-            lift(world.apply(log["route"][ways]), LAYER_M),
+            lift(world.apply(log["route"].reshape(-1, 2)[ways]), LAYER_M),
             np.bincount(log["route_goal"][ways], minlength=shown),
         )
         dots: Shapes = {"route": ({"positions": route}, ROUTE_COLOUR, 0.012)}

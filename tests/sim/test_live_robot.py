@@ -27,19 +27,18 @@ def drive(robot: LiveRobot, steps: int = 15) -> list[np.ndarray]:
     return [robot.ticks(), robot.image(), robot.pose(), np.array([robot.clear_m(1.0), robot.clear_m(1.0, 0.7)])]
 
 
-def test_a_robot_continues_exactly_from_a_state(small_settings: SimSettings):
+def test_a_robot_continues_exactly_from_another(small_settings: SimSettings):
     robot = make_robot(small_settings, slip_per_m=0.05, read_noise=0.02)
     drive(robot)
-    state = robot.state()
+    other, third = (make_robot(small_settings, slip_per_m=0.05, read_noise=0.02) for _ in range(2))
+    other.continue_from(robot)
+    third.continue_from(robot)
     robot.begin(np.random.default_rng(1))
-    seen = drive(robot)
-    other = make_robot(small_settings, slip_per_m=0.05, read_noise=0.02)
-    other.set_state(state)
     other.begin(np.random.default_rng(1))
+    seen = drive(robot)
     assert all(np.array_equal(one, two) for one, two in zip(seen, drive(other), strict=True))
-    other.set_state(state)
-    other.begin(np.random.default_rng(2))
-    again = drive(other)
+    third.begin(np.random.default_rng(2))
+    again = drive(third)
     assert not np.array_equal(again[0], seen[0]) and not np.array_equal(again[1], seen[1])  # noise of its own
     assert np.array_equal(again[2], seen[2])
 

@@ -3,20 +3,30 @@
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from deepgps.navigation.goals import MIN_WAY_M, check_goal, draw_goals
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deepgps.evaluation.navigate_run import keep_same, score
+from deepgps.evaluation.navigate_run import score
 from deepgps.navigation import position, simulate
 from deepgps.navigation.follow import ACCELERATION_MPS2, MAX_SPEED_MPS, MAX_TURN_RPS, Follower
 from deepgps.navigation.navigator import Navigator, Outcome
-from deepgps.navigation.position import Reckoned, Told, Tracked, Wheels
-from deepgps.navigation.route import CELL_M, EDGE_M, Floor, lay_floor, measure_along
-from deepgps.navigation.simulate import TRUE_POSE, WHEELS, Trip, drive_goal, drive_trip, join
+from deepgps.navigation.position import Reckoned, Source, Tracked, Wheels
+from deepgps.navigation.route import (
+    CELL_M,
+    DOOR_M,
+    EDGE_M,
+    MIN_WAY_M,
+    Floor,
+    check_goal,
+    draw_goals,
+    lay_floor,
+    measure_along,
+)
+from deepgps.navigation.simulate import TRUE_POSE, WHEELS, Trip, drive_trip
 from deepgps.positioner.pose import Poses
 from deepgps.positioner.stored_positioner import INDEX
 from sim.alignment import Alignment
@@ -27,6 +37,7 @@ from sim.settings import SimSettings
 
 ODOMETRY = {"wheel_radius_m": 0.033, "track_m": 0.16, "ticks_per_rev": 65536, "slip_per_m": 0.02}
 M_PER_TICK = 2 * np.pi * 0.033 / 65536
+drive_goal: Any = simulate.drive_goal  # also of toys
 HERE = Alignment(np.eye(2), np.zeros(2), 1.0)
 
 
@@ -88,11 +99,8 @@ class ToyRobot:
     def place(self, pose):
         self._pose = np.array(pose, float)
 
-    def state(self):
-        return {"pose": self._pose, "ticks": self._ticks, "bumped": np.array(self._bumped)}
-
-    def set_state(self, state):
-        self._pose, self._ticks, self._bumped = state["pose"], state["ticks"], bool(state["bumped"])
+    def continue_from(self, other):
+        self._pose, self._ticks, self._bumped = other._pose, other._ticks, other._bumped
 
 
 @pytest.fixture
@@ -109,12 +117,16 @@ def seeing(monkeypatch: pytest.MonkeyPatch) -> type:
 
 
 def make_trip(floor: Floor, folder: Path, name: str = TRUE_POSE, goals: int = 4) -> Trip:
-    placed = np.full((goals, 3), np.nan)
-    placed[0] = 0.5, 0.5, 1.0
+    placed = {0: np.array([0.5, 0.5, 1.0])}
     return Trip(
         name=name, folder=folder, floor=floor, goals=draw_goals(floor, 0, goals), placed=placed, alignment=HERE,
-        settings=SimSettings(), changed={}, seed=0, parts=folder,
+        settings=SimSettings(), moved=None, seed=0,
     )  # fmt: skip
+
+
+def make_toys(floor: Floor, noise: float = 0.0) -> Any:
+    """A function that makes robots, whatever the settings."""
+    return lambda settings: ToyRobot(floor, noise=noise)
 
 
 def test_goals_are_on_the_floor_and_apart():
@@ -180,14 +192,15 @@ def test_wheels_follow_an_arc_as_it_was_driven():
     robot = ToyRobot(make_floor())
     wheels, reckoned = Wheels(ODOMETRY), Reckoned(ODOMETRY, robot.pose())
     start = robot.pose()
+    mirrored = Reckoned(ODOMETRY, start * (1, -1, -1), -1)
     for speed_mps, turn_rps in [(0.0, 0.0), *[(0.2, 0.7)] * 40, *[(0.0, -1.0)] * 30, *[(0.1, 0.0)] * 20]:
         robot.step(speed_mps, turn_rps)
         wheels.move(robot.ticks())
         reckoned.move(robot.ticks())
-    assert np.allclose(wheels.follow(start, 1), robot.pose(), atol=1e-3)
+        mirrored.move(robot.ticks())
+    assert np.allclose(wheels.follow(start), robot.pose(), atol=1e-3)
     assert np.allclose(reckoned.pose(), robot.pose(), atol=1e-3)
-    mirrored = wheels.follow(start * (1, -1, -1), -1) * (1, -1, -1)
-    assert np.allclose(mirrored, robot.pose(), atol=1e-3)
+    assert np.allclose(mirrored.pose() * (1, -1, -1), robot.pose(), atol=1e-3)
 
 
 @pytest.mark.parametrize("hand", [1, -1])
@@ -196,7 +209,7 @@ def test_with_the_true_pose_every_goal_is_reached(hand):
     robot, sign = ToyRobot(floor, noise=0.02), np.array([1.0, hand, hand])
     robot.begin(np.random.default_rng(0))
     own = floor if hand > 0 else Floor(np.array([0.0, -44 * CELL_M]), CELL_M, floor.free[::-1])
-    navigator = Navigator(Told(lambda: robot.pose() * sign, hand), own)
+    navigator = Navigator(Source(lambda: robot.pose() * sign, hand), own)
     for goal in draw_goals(floor, 1, 6):
         log = drive_goal(navigator, robot, goal * sign[:2])
         assert log["arrived"] and log["contacts"] == 0 and np.linalg.norm(robot.pose()[:2] - goal) < 0.05
@@ -232,17 +245,17 @@ def test_a_robot_without_position_is_refused(seeing):
 def test_what_stands_on_the_floor_is_driven_around():
     floor = make_floor()
     robot = ToyRobot(floor.block(np.array([1.25, 1.1]), 0.25), pose=(0.4, 1.1, 0.0))
-    log = drive_goal(Navigator(Told(robot.pose), floor), robot, np.array([2.1, 1.1]))
+    log = drive_goal(Navigator(Source(robot.pose), floor), robot, np.array([2.1, 1.1]))
     assert log["arrived"] and log["contacts"] <= 1
     closed = ToyRobot(floor.block(np.array([2.6, 1.15]), 0.3), pose=(0.4, 1.1, 0.0))
-    log = drive_goal(Navigator(Told(closed.pose), floor), closed, np.array([4.5, 1.1]))
+    log = drive_goal(Navigator(Source(closed.pose), floor), closed, np.array([4.5, 1.1]))
     assert not log["arrived"] and log["reason"]
 
 
 def test_goals_off_the_floor_are_refused():
     floor = make_floor()
     check_goal(floor, np.array([0.5, 0.5]), "--to")
-    for goal, said in (((np.nan, 0.0), "finite"), ((99.0, 0.0), "outside of"), ((2.6, 0.3), "within")):
+    for goal, said in (((np.nan, 0.0), "finite"), ((99.0, 0.0), "no floor"), ((2.6, 0.3), "0.1. m away")):
         with pytest.raises(InputError, match=said):
             check_goal(floor, np.array(goal), "--to")
     with pytest.raises(InputError, match="no floor"):
@@ -250,28 +263,44 @@ def test_goals_off_the_floor_are_refused():
 
 
 @pytest.mark.parametrize("name", [TRUE_POSE, WHEELS])
-def test_a_killed_trip_continues_with_the_same_bytes(tmp_path: Path, name):
-    floor, files = make_floor(), {}
-    for folder, cut in ((tmp_path / "whole", False), (tmp_path / "killed", True)):
-        trip = make_trip(floor, folder, name)
-        folder.mkdir()
-        (folder / INDEX).write_text("{}")
-        keep_same(trip)
-        make = lambda _: ToyRobot(floor, noise=0.02)  # noqa: E731
-        drive_trip(replace(trip, goals=trip.goals[: 2 if cut else None]), make, lambda: None)
-        keep_same(trip)
-        drive_trip(trip, make, lambda: None)
-        files[cut] = {path.name: path.read_bytes() for path in folder.glob("*.npz")}
-    assert files[True] == files[False] and len(files[True]) == len(trip.goals)
-    keep_same(replace(trip, goals=trip.goals + [[0.0, 0.0], [0.1, 0.0], [0.0, 0.0], [0.0, 0.0]]))
-    assert [trip.file(number).is_file() for number in range(4)] == [True, False, False, False]
+def test_a_trip_is_the_same_again_and_its_key_tells_others_apart(tmp_path: Path, name):
+    floor = make_floor()
+    trip = make_trip(floor, tmp_path, name)
+    (tmp_path / INDEX).write_text("{}")
+    one, other = (drive_trip(trip, make_toys(floor, noise=0.02), lambda: None) for _ in range(2))
+    assert all(np.array_equal(one[key], other[key]) for key in one)
+    assert set(one["row_goal"]) == set(range(len(trip.goals))) and len(one["image"]) == len(one["image_goal"])
+    changes = {"goals": trip.goals + 0.1, "moved": trip.settings, "placed": {0: np.zeros(3)}, "seed": 1}
+    assert len({trip.key, *(replace(trip, **{key: value}).key for key, value in changes.items())}) == 5
+    assert replace(trip).key == trip.key
+
+
+def test_a_third_of_the_goals_are_through_a_door():
+    door = np.array([2.6, 1.15])
+    goals = draw_goals(make_floor(), 5, 60, door[None])
+    open_floor = np.linalg.norm(goals - door, axis=1) > DOOR_M
+    left = goals[:, 0] < door[0]
+    pairs = open_floor[1::3] & open_floor[2::3]
+    assert pairs.sum() > 10 and (left[1::3] != left[2::3])[pairs].all() and open_floor[2::3][open_floor[1::3]].all()
+
+
+def test_a_changed_room_is_driven_from_where_the_robot_was(tmp_path: Path):
+    floor = make_floor()
+    trip = replace(make_trip(floor, tmp_path, goals=7), moved=SimSettings())
+    covered = floor.block(trip.goals[5], 0.2)
+    make: Any = lambda settings: ToyRobot(floor if settings is trip.settings else covered)  # noqa: E731
+    log = drive_trip(trip, make, lambda: None)
+    assert log["covered"].tolist() == [number == 5 for number in range(7)]
+    first = [log["true"][log["row_goal"] == number][0] for number in range(1, 7)]
+    last = [log["true"][log["row_goal"] == number][-1] for number in range(6)]
+    assert np.allclose(first, last, atol=0.02)
 
 
 def test_figures_are_those_of_the_log_in_any_frame(tmp_path: Path):
     floor = make_floor()
     trip = make_trip(floor, tmp_path)
-    drive_trip(trip, lambda _: ToyRobot(floor), lambda: None)
-    log, space = join(trip), FreeSpace(floor.corner_m, CELL_M, floor.free, floor.free, np.zeros(2), 2.0)
+    log = drive_trip(trip, make_toys(floor), lambda: None)
+    space = FreeSpace(floor.corner_m, CELL_M, floor.free, floor.free, np.zeros(2), 2.0)
     figures = score(log, trip, space)
     assert figures["success_0_1m"] == figures["success_0_2m"] == 1.0 and 0.8 < figures["spl"] <= 1.0
     assert figures["refused"] == figures["collisions_per_run"] == 0.0 and figures["final_distance_p95_m"] < 0.05
@@ -289,7 +318,7 @@ def test_figures_are_those_of_the_log_in_any_frame(tmp_path: Path):
 
 def test_a_navigator_at_its_end_rests():
     robot = ToyRobot(make_floor())
-    navigator = Navigator(Told(robot.pose), make_floor())
+    navigator = Navigator(Source(robot.pose), make_floor())
     navigator.start(np.array([0.5, 0.51]))
     log = drive_goal(navigator, robot, np.array([0.5, 0.51]))
     assert navigator.outcome == Outcome(True, "") and log["time_s"][-1] < 1.0
