@@ -1,6 +1,6 @@
-"""A robot in its room, sensor by sensor, for a controller from outside: motors in; ticks, ranges, bumper, images out.
+"""A robot in its room for a controller from outside: motors in; ticks, ranges, bumper and images out.
 
-What no robot can sense is apart: ``pose``, ``is_free``, ``place`` and ``continue_from``.
+What no robot can sense is that of ``RoomWorld``: ``pose``, ``is_free``, ``place`` and ``state``.
 """
 
 from collections.abc import Mapping
@@ -20,7 +20,7 @@ from sim.settings import SimSettings
 SENSOR = "fisheye"
 
 
-class LiveRobot:
+class LiveRobot(RoomWorld):
     """A robot with wheel encoders, range finder, bumper and fisheye camera.
 
     Encoder faults that are drawn for a complete drive (lost readings, a stuck encoder, those of plugins) are left out.
@@ -29,23 +29,22 @@ class LiveRobot:
     period_s = CONTROL_PERIOD_S  # How long a step lasts [s]
 
     def __init__(self, settings: SimSettings) -> None:
-        self.settings, self.world = settings, RoomWorld(settings, drawn=False)
-        body = self.world.body
-        self.radius_m = body.radius_m
-        self.odometry: Mapping[str, float] = describe_odometry(settings.encoder, body.wheel_radius_m, body.track_m)
         self._angle = self._read = np.zeros(2)  # of the wheels, true and by the encoders [rad]
+        super().__init__(settings, drawn=False)
+        body = self.body
+        self.odometry: Mapping[str, float] = describe_odometry(settings.encoder, body.wheel_radius_m, body.track_m)
 
     def begin(self, rng: np.random.Generator) -> None:
         """Draw all noise from now on from the streams of a generator."""
         self._slip, self._gaps, self._lean, noise = (split(rng, name) for name in ("slip", "gaps", "lean", "image"))
         self._develop = make_develop(self.settings.image_faults, noise)
 
-    def step(self, speed_mps: float, turn_rate_rps: float) -> None:
+    def drive(self, speed_mps: float, turn_rate_rps: float) -> None:
         """Drive at a speed [m/s] and turn to the left [rad/s] for a period; raises WorkError if physics fails."""
-        self.world.step(wheel_speeds(speed_mps, turn_rate_rps, self.world.body))
-        encoder, angle = self.settings.encoder, np.stack([self._angle, self.world.wheel_angle()])
+        self.step(wheel_speeds(speed_mps, turn_rate_rps, self.body))
+        encoder, angle = self.settings.encoder, np.stack([self._angle, self.wheel_angle()])
         seen = scale_wheels(angle, encoder.radius_error_left, encoder.radius_error_right)
-        seen = slip_wheels(seen, encoder.slip_per_m, self.world.body.wheel_radius_m, self._slip)
+        seen = slip_wheels(seen, encoder.slip_per_m, self.body.wheel_radius_m, self._slip)
         seen = disturb_gaps(seen, encoder.step_noise, self._gaps)
         self._angle, self._read = angle[1], self._read + (seen[1] - seen[0])
 
@@ -55,32 +54,20 @@ class LiveRobot:
 
     def clear_m(self, reach_m: float, turned_rad: float = 0.0) -> float:
         """How far the robot could drive before a contact [m], at most the reach, at an angle to the left [rad]."""
-        return look(self.world, reach_m, turned_rad)
-
-    def bumped(self) -> bool:
-        """Whether something presses against the robot."""
-        return self.world.bumped()
+        return look(self, reach_m, turned_rad)
 
     def image(self) -> np.ndarray:
         """The polar image (rings, sectors, 3) uint8 that the camera takes now."""
         leans = draw_leans(self.settings.camera_mount, 1, self._lean)
-        seen = observe(SENSOR, self.settings, self.world.snapshot()[None], leans)
+        seen = observe(SENSOR, self.settings, self.snapshot()[None], leans)
         return (seen if self._develop is None else self._develop(seen))[0]
 
-    def pose(self) -> np.ndarray:
-        """The true pose (3,): x, y [m], yaw [rad]."""
-        return self.world.pose()
-
-    def is_free(self, place: np.ndarray) -> bool:
-        """Whether the robot fits with its middle at a place (2,) [m]."""
-        return bool(self.world.is_free(place))
-
-    def place(self, pose: np.ndarray) -> None:
-        """Put the robot at a pose (3,), at rest; the encoders keep what they have counted."""
-        self.world.place(pose)
-        self._angle = self.world.wheel_angle()
+    def put(self, pose: np.ndarray) -> None:
+        """Put the robot at a true pose (3,), at rest; the encoders keep what they have counted."""
+        self.place(pose)
+        self._angle = self.wheel_angle()
 
     def continue_from(self, other: "LiveRobot") -> None:
         """Stand and move as another robot, whose encoders have counted the same."""
-        self.world.set_state(other.world.state())
+        self.set_state(other.state())
         self._angle, self._read = other._angle, other._read

@@ -80,14 +80,14 @@ def drive_trip(trip: Trip, make_robot: Callable[[SimSettings], "LiveRobot"], bea
         x, y, yaw = robot.pose()
         return np.array([*back.apply(np.array([x, y])), back.turn(yaw)])
 
-    robot.place(trip.placed[0])
+    robot.put(trip.placed[0])
     if trip.name == TRUE_POSE:
         source = Source(find_pose, hand)
     elif trip.name == WHEELS:
         source = Reckoned(robot.odometry, find_pose(), hand)
     else:
         source = Tracked(load_positioner(trip.folder), robot.odometry, trip.name)
-    navigator = Navigator(source, trip.floor, robot.radius_m, robot.period_s)
+    navigator = Navigator(source, trip.floor, robot.body.radius_m, robot.period_s)
     for number, (goal, changed) in enumerate(zip(trip.goals, trip.changed, strict=True)):
         before, pose = robot, trip.placed.get(number, robot.pose())
         robot = other if changed and other.is_free(pose[:2]) else usual  # where a piece was moved to, it cannot stand
@@ -95,7 +95,7 @@ def drive_trip(trip: Trip, make_robot: Callable[[SimSettings], "LiveRobot"], bea
         if robot is not before:
             robot.continue_from(before)
         if number in trip.placed:
-            robot.place(pose)
+            robot.put(pose)
         log, place = drive_goal(navigator, robot, goal, beat, number < IMAGE_GOALS), trip.alignment.apply(goal)
         logs.append({**log, "covered": usual.is_free(place) and not robot.is_free(place)})  # by what was moved
     joined: Log = {"goal": trip.goals}
@@ -135,7 +135,7 @@ def drive_goal(
         if navigator.route is not followed:
             followed = navigator.route
             route.extend(followed)
-        robot.step(*command)
+        robot.drive(*command)
         number += 1
     log: Log = dict(zip(ROWS["row"], map(np.array, zip(*rows, strict=True)), strict=True))
     kept = seen if keep_images else []

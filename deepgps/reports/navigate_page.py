@@ -29,10 +29,7 @@ def print_drives(driven: Driven, console: Console) -> None:
     columns = [column for column in COLUMNS if any(column[1] in one for one in driven.figures.values())]
     rows = [[TITLES.get(name, title_of(name)), *fill(columns, one)] for name, one in driven.figures.items()]
     print_table(console, ("positions", *(column[0] for column in columns)), rows)
-    say(
-        console,
-        "\nShares of goals reached within 0.1 and 0.2 m, also after the robot was carried elsewhere; contacts a goal.",
-    )
+    say(console, "\nShares of goals reached within 0.1 and 0.2 m, also after it was carried; contacts a goal.")
     for name, log in driven.logs.items():
         goal, lines = driven.trips[name].alignment.apply(log["goal"]), []
         for number, place in enumerate(goal):

@@ -16,14 +16,14 @@ def make_robot(settings: SimSettings, slip_per_m: float = 0.0, read_noise: float
     }
     robot = LiveRobot(settings.model_copy(update=faults))
     robot.begin(np.random.default_rng(0))
-    robot.place(np.array((*robot.world.free_space.start, 0.5)))
+    robot.put(np.array((*robot.free_space.start, 0.5)))
     return robot
 
 
 def drive(robot: LiveRobot, steps: int = 15) -> list[np.ndarray]:
     """What it senses, and where it is, after some steps."""
     for _ in range(steps):
-        robot.step(0.1, 0.4)
+        robot.drive(0.1, 0.4)
     return [robot.ticks(), robot.image(), robot.pose(), np.array([robot.clear_m(1.0), robot.clear_m(1.0, 0.7)])]
 
 
@@ -48,9 +48,9 @@ def test_wheels_without_faults_count_what_the_joints_turn_and_a_carried_robot_co
 ):
     robot = make_robot(small_settings)
     ticks, image, pose, _ = drive(robot)
-    assert np.array_equal(ticks, count_ticks(robot.world.wheel_angle(), robot.settings.encoder))
+    assert np.array_equal(ticks, count_ticks(robot.wheel_angle(), EncoderSettings()))
     assert ticks[1] > ticks[0] > 0 and pose[2] > 0.5 and image.dtype == np.uint8
-    robot.place(np.array((*robot.world.free_space.start, 0.5)))
+    robot.put(np.array((*robot.free_space.start, 0.5)))
     assert np.array_equal(robot.ticks(), ticks)
     drive(robot)
     assert robot.ticks() == pytest.approx(2 * ticks, abs=2)
@@ -58,5 +58,5 @@ def test_wheels_without_faults_count_what_the_joints_turn_and_a_carried_robot_co
 
 def test_a_robot_knows_where_it_fits(small_settings: SimSettings):
     robot = make_robot(small_settings)
-    assert robot.is_free(robot.world.free_space.start) and not robot.is_free(np.array([9.0, 9.0]))
+    assert robot.is_free(robot.free_space.start) and not robot.is_free(np.array([9.0, 9.0]))
     assert not robot.bumped() and robot.odometry["slip_per_m"] == 0.0

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -53,7 +54,7 @@ def make_floor() -> Floor:
 class ToyRobot:
     """Goes exactly as it is told, but for walls that stop it; what it takes for an image is its pose."""
 
-    period_s, radius_m, odometry = 0.04, 0.105, ODOMETRY
+    period_s, body, odometry = 0.04, SimpleNamespace(radius_m=0.105), ODOMETRY
 
     def __init__(self, floor: Floor, pose=(0.5, 0.5, 0.0), noise: float = 0.0) -> None:
         self.floor, self._pose, self._ticks, self._noise = floor, np.array(pose, float), np.zeros(2), noise
@@ -62,7 +63,7 @@ class ToyRobot:
     def begin(self, rng):
         self._rng = rng
 
-    def step(self, speed_mps, turn_rate_rps):
+    def drive(self, speed_mps, turn_rate_rps):
         x, y, yaw = self._pose
         middle = yaw + turn_rate_rps * self.period_s / 2
         ahead = speed_mps * self.period_s
@@ -96,7 +97,7 @@ class ToyRobot:
     def is_free(self, place):
         return bool(self.floor.is_free(place[None])[0])
 
-    def place(self, pose):
+    def put(self, pose):
         self._pose = np.array(pose, float)
 
     def continue_from(self, other):
@@ -194,7 +195,7 @@ def test_wheels_follow_an_arc_as_it_was_driven():
     start = robot.pose()
     mirrored = Reckoned(ODOMETRY, start * (1, -1, -1), -1)
     for speed_mps, turn_rps in [(0.0, 0.0), *[(0.2, 0.7)] * 40, *[(0.0, -1.0)] * 30, *[(0.1, 0.0)] * 20]:
-        robot.step(speed_mps, turn_rps)
+        robot.drive(speed_mps, turn_rps)
         wheels.move(robot.ticks())
         reckoned.move(robot.ticks())
         mirrored.move(robot.ticks())
@@ -223,7 +224,7 @@ def test_tracked_positions_reach_every_goal_and_find_a_robot_that_was_carried(se
     navigator = Navigator(Tracked(seeing(), ODOMETRY), floor)
     for number, goal in enumerate(draw_goals(floor, 2, 6)):
         if number == 3:
-            robot.place(np.array([4.5, 0.4, 2.0]))
+            robot.put(np.array([4.5, 0.4, 2.0]))
         log = drive_goal(navigator, robot, goal)
         assert log["arrived"] and np.linalg.norm(robot.pose()[:2] - goal) < 0.05, number
     assert robot.images > 100
