@@ -101,7 +101,7 @@ class NavigateArguments:
     to: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="X Y")] = None
     """Drive to this place alone [m]."""
     frame: Literal["world", "map"] = "world"
-    """Frame of --to: the world's, or the first method's own."""
+    """Frame of --to: the world's, or that of the run's first method."""
     plugin: Plugins = ()
     """Files of plugins, with methods of your own."""
 

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -20,9 +20,6 @@ from sim.recording.renderers import Part
 from sim.rng import stream
 from sim.settings import SimSettings
 
-if TYPE_CHECKING:
-    from sim.live_robot import LiveRobot
-
 WHEELS, TRUE_POSE = "dead_reckoning", "truth"  # Sources of positions that are no trained methods
 LOG_STEPS = 5  # Control periods between two rows of a drive's log
 CONTACT_STEPS = 25  # Control periods after a contact in which another one is the same
@@ -31,6 +28,7 @@ CHANGED_GOALS, CHANGED_PHASE = 10, 5  # Every such goal, from one on, is in a ch
 ROWS = {"row": ("time_s", "true", "estimated", "covariance"), "image": ("image_time_s", "image"), "route": ("route",)}
 """Arrays of a log by part: the number of each row's goal is in ``<part>_goal``."""
 Log = dict[str, Any]  # Arrays by name
+Robot = Any  # A ``sim.live_robot.LiveRobot``; importing that here would load the physics
 
 
 @dataclass(frozen=True)
@@ -69,7 +67,7 @@ def drive_trips(trips: Mapping[str, Trip], part: Part, beat: Callable[[], None])
         write_arrays(part.path, {**drive_trip(trip, LiveRobot, beat), "key": np.array(trip.key)})
 
 
-def drive_trip(trip: Trip, make_robot: Callable[[SimSettings], "LiveRobot"], beat: Callable[[], None]) -> Log:
+def drive_trip(trip: Trip, make_robot: Callable[[SimSettings], Robot], beat: Callable[[], None]) -> Log:
     """Drive to all goals of a trip; returns their logs, one after another, with how each drive ended."""
     robot = usual = make_robot(trip.settings)
     other = usual if trip.moved is None else make_robot(trip.moved)
@@ -107,7 +105,7 @@ def drive_trip(trip: Trip, make_robot: Callable[[SimSettings], "LiveRobot"], bea
 
 def drive_goal(
     navigator: Navigator,
-    robot: "LiveRobot",
+    robot: Robot,
     goal: np.ndarray,
     beat: Callable[[], None] = lambda: None,
     keep_images: bool = False,

@@ -27,7 +27,7 @@ from deepgps.navigation.route import (
     lay_floor,
     measure_along,
 )
-from deepgps.navigation.simulate import TRUE_POSE, WHEELS, Trip, drive_trip
+from deepgps.navigation.simulate import TRUE_POSE, WHEELS, Trip, drive_goal, drive_trip
 from deepgps.positioner.pose import Poses
 from deepgps.positioner.stored_positioner import INDEX
 from sim.alignment import Alignment
@@ -38,7 +38,6 @@ from sim.settings import SimSettings
 
 ODOMETRY = {"wheel_radius_m": 0.033, "track_m": 0.16, "ticks_per_rev": 65536, "slip_per_m": 0.02}
 M_PER_TICK = 2 * np.pi * 0.033 / 65536
-drive_goal: Any = simulate.drive_goal  # also of toys
 HERE = Alignment(np.eye(2), np.zeros(2), 1.0)
 
 
