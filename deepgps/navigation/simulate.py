@@ -100,7 +100,9 @@ def drive_trip(trip: Trip, make_robot: Callable[[SimSettings], Robot], beat: Cal
     for part, names in ROWS.items():
         joined[f"{part}_goal"] = np.repeat(np.arange(len(logs)), [len(log[names[0]]) for log in logs])
         joined |= {name: np.array([row for log in logs for row in log[name]]) for name in names}
-    return joined | {name: np.array([log[name] for log in logs]) for name in logs[0].keys() - joined.keys()}
+    return joined | {
+        name: np.array([log[name] for log in logs]) for name in ("arrived", "reason", "contacts", "covered")
+    }
 
 
 def drive_goal(
