@@ -10,7 +10,7 @@ LIMITS = {
     "lines of tests": 29_810,
     "Python files directly in deepgps": 2,
     "words of decisions": 6_756,
-    "words of all other pages by hand": 21_501,
+    "words of all other pages by hand": 21_523,
     "words of the reference that the code does not say": 3_516,
     "words of published results": 8_000,
 }
