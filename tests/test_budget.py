@@ -7,7 +7,7 @@ ROOT = Path(__file__).parents[1]
 LIMITS = {
     "lines of sim and deepgps": 43_846,
     "files of sim and deepgps": 305,
-    "lines of tests": 29_810,
+    "lines of tests": 29_812,
     "Python files directly in deepgps": 2,
     "words of decisions": 6_756,
     "words of all other pages by hand": 21_523,
