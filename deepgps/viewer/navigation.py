@@ -11,15 +11,15 @@ from deepgps.evaluation.navigate_run import Driven
 from deepgps.learning.trainer import use_threads
 from deepgps.navigation.simulate import IMAGE_GOALS, TRUE_POSE, WHEELS
 from deepgps.positioner.stored_positioner import load_positioner
-from deepgps.viewer.drive import camera_of, find_track_m, log_poses, log_robot
+from deepgps.viewer.drive import TRUE_COLOUR, camera_of, find_track_m, log_poses, log_robot
 from deepgps.viewer.layout import aim_eye, arrange, play, room_view, series_view
 from deepgps.viewer.pictures import encode_jpeg, log_jpegs, make_warp, warp_round
 from deepgps.viewer.scene import LAYER_M, draw_ellipses, lift, log_room
-from deepgps.viewer.stream import Rows, Shapes, hash_files, save_recording, send_series, send_shapes
+from deepgps.viewer.stream import DRIVE_TIME, Rows, Shapes, hash_files, save_recording, send_series, send_shapes
 from sim.recording.format import open_recording, open_truth
 
-TIME, ROOT = "drive_time", "world/navigate"
-TRUE_COLOUR, OWN_COLOUR, ROUTE_COLOUR, GOAL_COLOUR = (90, 160, 255), (240, 80, 120), (255, 196, 60), (63, 208, 165)
+ROOT = "world/navigate"
+OWN_COLOUR, ROUTE_COLOUR, GOAL_COLOUR = (240, 80, 120), (255, 196, 60), (63, 208, 165)
 ROUND_PX = 256  # Side of the round pictures [px]
 DEVIATIONS = 3.0  # Standard deviations that the ellipse shows
 PAUSE_S = 1.0  # Time between two drives on the timeline [s]
@@ -36,11 +36,9 @@ def write_drives(run: Path, driven: Driven) -> Path:
     shown = min(IMAGE_GOALS, len(trip.goals))
     last_s = [log["time_s"][log["row_goal"] == number][-1] for number in range(shown)]
     start_s = np.append(0.0, np.cumsum(np.array(last_s) + PAUSE_S))
-    rows, images, ways = (log[f"{part}_goal"] < shown for part in ("row", "image", "route"))
-    time_s, seen_s = (
-        start_s[log[f"{part}_goal"][some]] + log[key][some]
-        for part, some, key in (("row", rows, "time_s"), ("image", images, "image_time_s"))
-    )
+    rows, ways = log["row_goal"] < shown, log["route_goal"] < shown
+    time_s = start_s[log["row_goal"][rows]] + log["time_s"][rows]
+    seen_s = start_s[log["image_goal"]] + log["image_time_s"]
     true, own = log["true"][rows], world.apply(log["estimated"][rows, :2])
     spread = DEVIATIONS**2 * world.rotation @ log["covariance"][rows] @ world.rotation.T
     now = np.clip(np.searchsorted(time_s, seen_s), 0, len(time_s) - 1)
@@ -48,7 +46,7 @@ def write_drives(run: Path, driven: Driven) -> Path:
     warp = make_warp(camera, camera.rings, camera.sectors, ROUND_PX)
 
     def at(seconds: np.ndarray) -> Rows:
-        return [rr.TimeColumn(TIME, duration=seconds)]
+        return [rr.TimeColumn(DRIVE_TIME, duration=seconds)]
 
     def log_all(stream: rr.RecordingStream) -> None:
         log_room(stream, recording.folder / "scene.glb", space)
@@ -69,7 +67,7 @@ def write_drives(run: Path, driven: Driven) -> Path:
         stream.log(f"{ROOT}/path", rr.LineStrips3D(drives, colors=[TRUE_COLOUR], radii=0.005), static=True)
         error_cm = 100 * np.linalg.norm(own - true[:, :2], axis=1)
         send_series(stream, "error", at(time_s), error_cm, "own position minus true [cm]", OWN_COLOUR)
-        for entity, pictures in (("image", log["image"][images]), ("matched", matched)):
+        for entity, pictures in (("image", log["image"]), ("matched", matched)):
             log_jpegs(stream, entity, (encode_jpeg(warp_round(np.asarray(one), warp)) for one in pictures), at(seen_s))
 
     room = room_view(
@@ -82,7 +80,7 @@ def write_drives(run: Path, driven: Driven) -> Path:
         rrb.Spatial2DView(name="Nearest image on its map", origin="matched"),
         series_view("Own position minus true [cm]", "error"),
     )
-    layout = arrange([rrb.Horizontal(room, beside, column_shares=[5, 2], name="Drives")], play(TIME))
+    layout = arrange([rrb.Horizontal(room, beside, column_shares=[5, 2], name="Drives")], play(DRIVE_TIME))
     number = hash_files(driven.folder, [path.with_suffix(".npz")])
     save_recording(path, number, f"{run.name}: {name}", layout, log_all)
     return path

@@ -40,7 +40,7 @@ def make_floor() -> Floor:
 
 
 class ToyRobot:
-    """Goes exactly as it is told, but for walls that stop it; what it takes for an image is its pose."""
+    """Goes exactly as commanded unless a wall stops it; its image is its pose."""
 
     period_s, radius_m, odometry = 0.04, 0.105, ODOMETRY
 
