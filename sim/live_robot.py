@@ -1,6 +1,6 @@
 """A robot in its room for a controller from outside: motors in; ticks, ranges, bumper and images out.
 
-What no robot can sense is that of ``RoomWorld``: ``pose``, ``is_free``, ``place`` and ``state``.
+What no robot can sense is that of ``RoomWorld``: ``pose``, ``is_free``, ``place`` and ``state``; ``pack`` holds it.
 """
 
 from collections.abc import Mapping
@@ -67,7 +67,11 @@ class LiveRobot(RoomWorld):
         self.place(pose)
         self._angle = self.wheel_angle()
 
-    def continue_from(self, other: "LiveRobot") -> None:
-        """Stand and move as another robot, whose encoders have counted the same."""
-        self.set_state(other.state())
-        self._angle, self._read = other._angle, other._read
+    def pack(self) -> dict[str, np.ndarray]:
+        """All on which what follows depends, but the generator of its noise, as arrays by name."""
+        return {"robot_state": self.state(), "robot_angle": self._angle, "robot_read": self._read}
+
+    def unpack(self, arrays: Mapping[str, np.ndarray]) -> None:
+        """Stand and move as another robot did, whose encoders had counted the same."""
+        self.set_state(arrays["robot_state"])
+        self._angle, self._read = arrays["robot_angle"], arrays["robot_read"]

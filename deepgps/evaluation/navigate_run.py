@@ -23,7 +23,7 @@ from deepgps.runs.owned_folder import hold
 from deepgps.runs.run_folder import RUN, list_trained, open_run
 from deepgps.terminal.progress import Report
 from sim.alignment import Alignment
-from sim.errors import InputError, quote
+from sim.errors import DamagedError, InputError, quote
 from sim.files.checksums import read_arrays, read_json, write_json
 from sim.geometry import FreeSpace
 from sim.processes import usable_cores
@@ -76,7 +76,7 @@ def navigate_run(run: Path, order: Order, progress: Report) -> Driven:
             raise InputError(f"{run} has learned from a robot's log: there is no simulated robot to drive")
         if recording.kind != "polar_image":
             raise InputError(f"{run} has learned from {recording.kind} observations: only a camera shows the way")
-        trips = plan_trips(run, scenario, recording, order)
+        trips = plan_trips(run, scenario, recording, order, folder / "parts")
         logs, space = _drive(trips, folder, progress), open_truth(recording.folder).free_space
         figures = {name: score(logs[name], trip, space) for name, trip in trips.items()}
         if order.to is None:
@@ -88,7 +88,7 @@ def navigate_run(run: Path, order: Order, progress: Report) -> Driven:
     return Driven(folder, trips, logs, figures)
 
 
-def plan_trips(run: Path, scenario: Scenario, recording: Recording, order: Order) -> dict[str, Trip]:
+def plan_trips(run: Path, scenario: Scenario, recording: Recording, order: Order, parts: Path) -> dict[str, Trip]:
     """A trip of each source, to the same goals on the floor of the run's first method, from the same places."""
     trained = [name for name in scenario.methods if name in list_trained(run)]
     if not trained:
@@ -121,7 +121,7 @@ def plan_trips(run: Path, scenario: Scenario, recording: Recording, order: Order
         own = name if name in trained else trained[0]
         there, world = maps[own]
         at, changed = world.invert().apply(goals), moved if order.changes else None
-        trips[name] = Trip(name, folder_of(run, own), there, at, placed, world, usual, changed, scenario.seed)
+        trips[name] = Trip(name, folder_of(run, own), there, at, placed, world, usual, changed, scenario.seed, parts)
     return trips
 
 
@@ -142,16 +142,27 @@ def _place(truth: np.ndarray, floor: Floor, home: Alignment, goals: np.ndarray, 
 
 def _drive(trips: Mapping[str, Trip], folder: Path, progress: Report) -> dict[str, Log]:
     """Drive what is not driven yet; returns the logs by method."""
-    folder.mkdir(parents=True, exist_ok=True)
+    files = [trip.file(number) for trip in trips.values() for number in range(len(trip.goals))]
     paths = {name: folder / f"{name}.npz" for name in trips}
-    done = [name for name, path in paths.items() if path.is_file() and read_arrays(path)["key"] == trips[name].key]
-    left = [name for name in trips if name not in done]
-    progress("navigate", len(done), len(trips))
-    with Renderers(partial(drive_trips, trips), min(len(left), usable_cores()), START_S) as workers:
-        for name in left:
-            workers.give(Part(trips[name].settings, np.empty((0, 0)), paths[name]))
-        workers.finish(lambda drawn: progress("navigate", len(done) + drawn, len(trips)))
+    for trip in trips.values():
+        keep_same(trip)
+    with Renderers(partial(drive_trips, trips), min(len(trips), usable_cores()), START_S) as workers:
+        for name, path in paths.items():
+            workers.give(Part(trips[name].settings, np.empty((0, 0)), path))
+        workers.finish(lambda _: progress("navigate", sum(file.is_file() for file in files), len(files)))
     return {name: read_arrays(path) for name, path in paths.items()}
+
+
+def keep_same(trip: Trip) -> None:
+    """Remove the files of goals that belong to other drives, or are damaged."""
+    trip.parts.mkdir(parents=True, exist_ok=True)
+    for number in range(len(trip.goals)):
+        try:
+            same = read_arrays(trip.file(number))["key"] == trip.key(number)
+        except DamagedError:
+            same = False
+        if not same:
+            trip.file(number).unlink(missing_ok=True)
 
 
 def score(log: Log, trip: Trip, space: FreeSpace) -> dict[str, float]:

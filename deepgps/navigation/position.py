@@ -12,7 +12,7 @@ from deepgps.data.segments import travel
 from deepgps.positioner.pose import find_poses
 from deepgps.positioner.positioner import Positioner
 from deepgps.tracking.filter import State, begin, estimate, predict, see
-from deepgps.tracking.fix import take_fix
+from deepgps.tracking.fix import begin_trail, take_fix
 from deepgps.tracking.motion import Motion, rotate
 from sim.errors import InputError
 from sim.geometry import wrap
@@ -25,6 +25,7 @@ MATCH_M, MATCH_RAD = 0.3, 0.35  # An image supports a pose that is nearer to its
 CARRIED_IMAGES = 3  # After so many accepted images in a row that contradict the pose, the robot was carried
 DRIVING_IMAGES, ARRIVAL_IMAGES = 2, 6
 """So many images in a row support a pose by which the robot drives, and says that it is there."""
+STATE = ("mean", "covariance", "evidence")  # Arrays of the filter's state
 BLIND_LIMITS = np.array([1.0, 6.0])  # Way and turn without such an image, after which the robot is unsure [m], [rad]
 
 
@@ -55,6 +56,13 @@ class Source:
     def is_sure(self, images: int = DRIVING_IMAGES) -> bool:
         """Whether so many images in a row, or its filter, support the pose."""
         return True
+
+    def pack(self) -> dict[str, np.ndarray]:
+        """What it knows between two goals, as arrays by name."""
+        return {}
+
+    def unpack(self, arrays: Mapping[str, np.ndarray]) -> None:
+        """Continue with what another source knew; the encoders count on."""
 
 
 class Wheels:
@@ -98,11 +106,17 @@ class Reckoned(Source):
     """Dead reckoning by the encoders alone, from a known start (3,)."""
 
     def __init__(self, odometry: Mapping[str, float], start: np.ndarray, hand: int = 1) -> None:
-        self._wheels = Wheels(odometry, hand)
-        super().__init__(lambda: self._wheels.follow(start), hand)
+        self._wheels, self._start = Wheels(odometry, hand), start
+        super().__init__(lambda: self._wheels.follow(self._start), hand)
 
     def move(self, ticks: np.ndarray) -> None:
         self._wheels.move(ticks)
+
+    def pack(self) -> dict[str, np.ndarray]:
+        return {"source_pose": self.pose()}
+
+    def unpack(self, arrays: Mapping[str, np.ndarray]) -> None:
+        self._start = arrays["source_pose"]
 
 
 class Tracked(Source):
@@ -153,6 +167,16 @@ class Tracked(Source):
     def is_sure(self, images: int = DRIVING_IMAGES) -> bool:
         seen = not self._contradicting and (self._blind < BLIND_LIMITS).all()
         return bool(seen and (self._supporting >= images or estimate(self._state).accepted))
+
+    def pack(self) -> dict[str, np.ndarray]:
+        state, counts = self._predict(), np.array([self._supporting, self._contradicting])
+        known = {f"source_{name}": getattr(state, name) for name in STATE}
+        return {**known, "source_blind": self._blind, "source_counts": counts}
+
+    def unpack(self, arrays: Mapping[str, np.ndarray]) -> None:
+        mean, covariance, evidence = (arrays[f"source_{name}"] for name in STATE)
+        self._state = State(mean, covariance, evidence, begin_trail(), mapped=self._positioner.mapped)
+        self._blind, (self._supporting, self._contradicting) = arrays["source_blind"], arrays["source_counts"].tolist()
 
     def _forget(self) -> None:
         """Know nothing of the pose."""

@@ -1,9 +1,12 @@
-"""Drives of a simulated robot to one goal after another, logged with the truth, which only evaluation reads."""
+"""Drives of a simulated robot to one goal after another, each with a file from which the next continues.
+
+The truth in these files is the simulator's; only evaluation reads it, when the drives are over.
+"""
 
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +18,7 @@ from deepgps.navigation.position import Reckoned, Source, Tracked
 from deepgps.navigation.route import Floor
 from deepgps.positioner.stored_positioner import INDEX, load_positioner
 from sim.alignment import Alignment
-from sim.files.checksums import sha256, write_arrays
+from sim.files.checksums import read_arrays, sha256, write_arrays
 from sim.recording.renderers import Part
 from sim.rng import stream
 from sim.settings import SimSettings
@@ -44,65 +47,94 @@ class Trip:
     settings: SimSettings  # The room and the robot
     moved: SimSettings | None  # Those of the changed room; None: it never changes
     seed: int  # Seed of all that is random in the drives
+    parts: Path  # Folder of the files of the goals
 
     @property
     def changed(self) -> np.ndarray:
         """Whether each goal is in the changed room (G,) bool."""
         return (np.arange(len(self.goals)) % CHANGED_GOALS == CHANGED_PHASE) & (self.moved is not None)
 
-    @property
-    def key(self) -> str:
-        """All that decides what is driven."""
-        settings = [None if one is None else one.model_dump(mode="json") for one in (self.settings, self.moved)]
-        placed = {number: pose.tolist() for number, pose in self.placed.items()}
-        return json.dumps([sha256(self.folder / INDEX), self.goals.tolist(), placed, settings, self.seed])
+    def file(self, number: int) -> Path:
+        """File of a goal."""
+        return self.parts / f"{self.name}-{number:04d}.npz"
+
+    def key(self, number: int) -> str:
+        """All that decides what is driven up to a goal."""
+        settings = [one.model_dump(mode="json") for one in (self.settings, self.moved) if one]
+        placed = {before: pose.tolist() for before, pose in self.placed.items() if before <= number}
+        trained, goals = sha256(self.folder / INDEX), self.goals[: number + 1].tolist()
+        return json.dumps([trained, goals, placed, settings, self.seed])
 
 
 def drive_trips(trips: Mapping[str, Trip], part: Part, beat: Callable[[], None]) -> None:
-    """Run in a worker: drive to all goals of the trip that a part's file names, and write that file."""
+    """Run in a worker: drive to all goals of the trip that a part's file names, and join their files in that one."""
     from sim.live_robot import LiveRobot
 
     trip = trips[part.path.stem]
     with use_threads(1):
-        write_arrays(part.path, {**drive_trip(trip, LiveRobot, beat), "key": np.array(trip.key)})
+        write_arrays(part.path, drive_trip(trip, LiveRobot, beat))
 
 
 def drive_trip(trip: Trip, make_robot: Callable[[SimSettings], Robot], beat: Callable[[], None]) -> Log:
-    """Drive to all goals of a trip; returns their logs, one after another, with how each drive ended."""
-    robot = usual = make_robot(trip.settings)
-    other = usual if trip.moved is None else make_robot(trip.moved)
+    """Drive to all goals of a trip that have no file yet; returns all logs, with how each drive ended."""
+    find_robot, logs = cache(make_robot), list[Log]()
+    for number in range(len(trip.goals)):
+        if not trip.file(number).is_file():
+            log = _drive_next(trip, number, find_robot, logs[-1] if logs else None, beat)
+            write_arrays(trip.file(number), {**log, "key": np.array(trip.key(number))})
+        logs.append(read_arrays(trip.file(number)))
+    joined: Log = {"goal": trip.goals}
+    for part, names in ROWS.items():
+        joined[f"{part}_goal"] = np.repeat(np.arange(len(logs)), [len(log[names[0]]) for log in logs])
+        kept = [log for log in logs if len(log[names[0]])] or logs[:1]
+        joined |= {name: np.concatenate([log[name] for log in kept]) for name in names}
+    return joined | {
+        name: np.array([log[name] for log in logs]) for name in ("arrived", "reason", "contacts", "covered")
+    }
+
+
+def _drive_next(
+    trip: Trip,
+    number: int,
+    find_robot: Callable[[SimSettings], Robot],
+    before: Log | None,
+    beat: Callable[[], None],
+) -> Log:
+    """Drive to a goal from where, and with what, the one before has ended; returns the log with the state after it."""
+    goal, start = trip.goals[number], trip.placed[number] if number in trip.placed or not before else before["true"][-1]
+    robot = usual = find_robot(trip.settings)
+    if trip.moved and trip.changed[number] and find_robot(trip.moved).is_free(start[:2]):
+        robot = find_robot(trip.moved)  # where a piece was moved to, it cannot stand
+    robot.begin(stream(trip.seed, "navigation", number))
+    if before:
+        robot.unpack(before)
+    if number in trip.placed:
+        robot.put(start)
+    source = make_source(trip, robot)
+    if before:
+        source.unpack(before)
+    navigator = Navigator(source, trip.floor, robot.body.radius_m, robot.period_s)
+    log, place = drive_goal(navigator, robot, goal, beat, number < IMAGE_GOALS), trip.alignment.apply(goal)
+    covered = np.array(usual.is_free(place) and not robot.is_free(place))  # by what was moved
+    return {**log, **robot.pack(), **source.pack(), "covered": covered}
+
+
+def make_source(trip: Trip, robot: Robot) -> Source:
+    """The source of positions of a trip, for a robot at its start."""
     back, hand = trip.alignment.invert(), int(np.sign(np.linalg.det(trip.alignment.rotation)))
-    logs = list[Log]()
 
     def find_pose() -> np.ndarray:
         x, y, yaw = robot.pose()
         return np.array([*back.apply(np.array([x, y])), back.turn(yaw)])
 
-    robot.put(trip.placed[0])
     if trip.name == TRUE_POSE:
-        source = Source(find_pose, hand)
-    elif trip.name == WHEELS:
-        source = Reckoned(robot.odometry, find_pose(), hand)
-    else:
-        source = Tracked(load_positioner(trip.folder), robot.odometry, trip.name)
-    navigator = Navigator(source, trip.floor, robot.body.radius_m, robot.period_s)
-    for number, (goal, changed) in enumerate(zip(trip.goals, trip.changed, strict=True)):
-        before, pose = robot, trip.placed.get(number, robot.pose())
-        robot = other if changed and other.is_free(pose[:2]) else usual  # where a piece was moved to, it cannot stand
-        robot.begin(stream(trip.seed, "navigation", number))
-        if robot is not before:
-            robot.continue_from(before)
-        if number in trip.placed:
-            robot.put(pose)
-        log, place = drive_goal(navigator, robot, goal, beat, number < IMAGE_GOALS), trip.alignment.apply(goal)
-        logs.append({**log, "covered": usual.is_free(place) and not robot.is_free(place)})  # by what was moved
-    joined: Log = {"goal": trip.goals}
-    for part, names in ROWS.items():
-        joined[f"{part}_goal"] = np.repeat(np.arange(len(logs)), [len(log[names[0]]) for log in logs])
-        joined |= {name: np.array([row for log in logs for row in log[name]]) for name in names}
-    return joined | {
-        name: np.array([log[name] for log in logs]) for name in ("arrived", "reason", "contacts", "covered")
-    }
+        return Source(find_pose, hand)
+    if trip.name == WHEELS:
+        return Reckoned(robot.odometry, find_pose(), hand)
+    return Tracked(_load(trip.folder), robot.odometry, trip.name)
+
+
+_load = lru_cache(maxsize=1)(load_positioner)
 
 
 def drive_goal(
@@ -139,5 +171,6 @@ def drive_goal(
         number += 1
     log: Log = dict(zip(ROWS["row"], map(np.array, zip(*rows, strict=True)), strict=True))
     kept = seen if keep_images else []
-    log |= {"image_time_s": [time_s for time_s, _ in kept], "image": [image for _, image in kept], "route": route}
-    return {**log, "contacts": contacts, **navigator.outcome._asdict()}
+    log |= {"image_time_s": [time_s for time_s, _ in kept], "image": np.array([image for _, image in kept], np.uint8)}
+    log |= {"route": route, "contacts": contacts, **navigator.outcome._asdict()}
+    return {name: np.array(value) for name, value in log.items()}

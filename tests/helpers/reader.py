@@ -104,6 +104,8 @@ class Reader:
 
         Where no page looks at the run, only its recording is made, which is where faults and sensors act.
         """
+        if words[0] == "flat":
+            words[1:1] = ("--drive.headings", "map")  # as a flat is driven
         if not is_folder(words):
             words[0] = SMALL_SCENARIO
         if take(words, "--live") is not None:

@@ -31,8 +31,8 @@ def test_a_robot_continues_exactly_from_another(small_settings: SimSettings):
     robot = make_robot(small_settings, slip_per_m=0.05, read_noise=0.02)
     drive(robot)
     other, third = (make_robot(small_settings, slip_per_m=0.05, read_noise=0.02) for _ in range(2))
-    other.continue_from(robot)
-    third.continue_from(robot)
+    for one in (other, third):
+        one.unpack(robot.pack())
     robot.begin(np.random.default_rng(1))
     other.begin(np.random.default_rng(1))
     seen = drive(robot)

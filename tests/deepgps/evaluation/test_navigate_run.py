@@ -58,7 +58,7 @@ def test_a_killed_command_continues_with_the_same_bytes(finished_run: Path, tmp_
     for name in ("whole", "killed"):
         shutil.copytree(finished_run, tmp_path / name / "run")
     with started(sys.executable, "-m", "deepgps.commands.main", *command, cwd=tmp_path / "killed") as process:
-        wait_until(lambda: list((tmp_path / "killed").glob("run/navigate/*.npz")), process)
+        wait_until(lambda: list((tmp_path / "killed").glob("run/navigate/parts/*.npz")), process)
     for name in ("whole", "killed"):
         done = deepgps_here(*command, cwd=tmp_path / name)
         assert done.returncode == 0, done.stderr
