@@ -4,9 +4,9 @@ The truth in these files is the simulator's; only evaluation reads it, when the 
 """
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, lru_cache, partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -77,10 +77,11 @@ def drive_trips(trips: Mapping[str, Trip], part: Part, beat: Callable[[], None])
 
 def drive_trip(trip: Trip, make_robot: Callable[[SimSettings], Robot], beat: Callable[[], None]) -> Log:
     """Drive to all goals of a trip that have no file yet; returns all logs, with how each drive ended."""
-    find_robot, logs = cache(make_robot), list[Log]()
+    left = [number for number in range(len(trip.goals)) if not trip.file(number).is_file()]
+    robots, logs = [make_robot(one) for one in (trip.settings, trip.moved) if one and left], list[Log]()
     for number in range(len(trip.goals)):
-        if not trip.file(number).is_file():
-            log = _drive_next(trip, number, find_robot, logs[-1] if logs else None, beat)
+        if number in left:
+            log = _drive_next(trip, number, robots, logs[-1] if logs else None, beat)
             write_arrays(trip.file(number), {**log, "key": np.array(trip.key(number))})
         logs.append(read_arrays(trip.file(number)))
     joined: Log = {"goal": trip.goals}
@@ -96,15 +97,15 @@ def drive_trip(trip: Trip, make_robot: Callable[[SimSettings], Robot], beat: Cal
 def _drive_next(
     trip: Trip,
     number: int,
-    find_robot: Callable[[SimSettings], Robot],
+    robots: Sequence[Robot],
     before: Log | None,
     beat: Callable[[], None],
 ) -> Log:
     """Drive to a goal from where, and with what, the one before has ended; returns the log with the state after it."""
     goal, start = trip.goals[number], trip.placed[number] if number in trip.placed or not before else before["true"][-1]
-    robot = usual = find_robot(trip.settings)
-    if trip.moved and trip.changed[number] and find_robot(trip.moved).is_free(start[:2]):
-        robot = find_robot(trip.moved)  # where a piece was moved to, it cannot stand
+    robot = usual = robots[0]
+    if trip.changed[number] and robots[-1].is_free(start[:2]):  # where a piece was moved to, it cannot stand
+        robot = robots[-1]
     robot.begin(stream(trip.seed, "navigation", number))
     if before:
         robot.unpack(before)
