@@ -5,12 +5,12 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "lines of sim and deepgps": 43_718,
+    "lines of sim and deepgps": 43_747,
     "files of sim and deepgps": 304,
     "lines of tests": 29_854,
     "Python files directly in deepgps": 2,
     "words of decisions": 6_756,
-    "words of all other pages by hand": 21_543,
+    "words of all other pages by hand": 21_548,
     "words of the reference that the code does not say": 3_522,
     "words of published results": 8_000,
 }

@@ -69,7 +69,7 @@ def navigate_run(run: Path, order: Order, progress: Report) -> Driven:
     figures are written. Raises InputError if the folder is no run of a simulated robot with a camera, has no such
     method, or the goal is not on driven floor.
     """
-    scenario, folder = open_run(run), run / FOLDER if order.to is None else run / FOLDER / "to"
+    scenario, folder = open_run(run), run / FOLDER / ("to" if order.to else "changed" if order.changes else "")
     with hold(run, RUN, "the run"):
         recording = open_recording(run / "recording")
         if recording.manifest.source != "simulator":

@@ -26,7 +26,7 @@ from deepgps.runs.run_folder import open_run
 from deepgps.studies.reports.encoder import NEARNESS_M, name_near
 from deepgps.studies.reports.explore import DONE_SHARE
 from deepgps.studies.reports.maps import BINS, EDGES, SHAPE
-from deepgps.studies.reports.navigating import DRIVES
+from deepgps.studies.reports.navigating import CHANGED, DRIVES
 from deepgps.studies.reports.record import PAPERS_ERRORS
 from deepgps.studies.table import Row, split_by
 from deepgps.terminal.progress import ignore
@@ -84,7 +84,8 @@ def add_drives(run: Path, row: Row) -> Row:
     goals = min(MAX_GOALS, max(2, scenario.drive.samples // GOAL_IMAGES))
     choose_renderer()
     driven = navigate_run(run, Order(goals, (*scenario.methods, WHEELS, TRUE_POSE)), ignore)
-    return {DRIVES: json.dumps(dict(driven.figures))}
+    changed = navigate_run(run, Order(goals, scenario.methods[:1], changes=True), ignore)
+    return {DRIVES: json.dumps({**driven.figures, CHANGED: changed.figures[scenario.methods[0]]})}
 
 
 def add_labels(run: Path, row: Row) -> Row:
