@@ -9,8 +9,8 @@ LIMITS = {
     "files of sim and deepgps": 304,
     "lines of tests": 29_854,
     "Python files directly in deepgps": 2,
-    "words of decisions": 6_756,
-    "words of all other pages by hand": 21_548,
+    "words of decisions": 6_802,
+    "words of all other pages by hand": 21_625,
     "words of the reference that the code does not say": 3_522,
     "words of published results": 8_000,
 }
