@@ -160,12 +160,17 @@ def find_contradicted(bars: Bars, part: np.ndarray, links: Links, inliers: Inlie
 
 
 def find_doubted(bars: Bars, links: Links, inliers: Inliers) -> np.ndarray:
-    """Segments (L,) bool whose place most of their loop closures contradict."""
+    """Segments (L,) bool whose place most of their loop closures contradict, or that hang on such segments alone."""
     ends = bars.segment[bars.row[np.concatenate([links.one, links.other])]]
     segments = bars.segment[-1] + 1
     count = np.bincount(ends, minlength=segments)
     agreed = np.bincount(ends, np.tile(inliers.mask, 2), segments)
-    return (count >= MIN_CLOSURES) & (agreed < MIN_INLIER_SHARE * count)
+    doubted = (count >= MIN_CLOSURES) & (agreed < MIN_INLIER_SHARE * count)
+    pairs = np.concatenate([ends.reshape(2, -1)[:, inliers.mask], np.arange(segments - 1) + [[0], [1]]], axis=1)
+    one, other = pairs[:, ~doubted[pairs].any(axis=0)]
+    joined = csr_array((np.ones(len(one)), (one, other)), (segments, segments))
+    part, readings = connected_components(joined, directed=False)[1], bars.segment[bars.row]
+    return part != np.bincount(part[readings], ~doubted[readings]).argmax()
 
 
 AGREEMENT_M, AGREEMENT_RAD = 0.3, 0.2  # How far loop closures that agree may place a part apart

@@ -1,6 +1,8 @@
 """The map by compass: exact where nothing is wrong, never pulled apart by false closures; bars err as expected."""
 
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ from scipy.spatial import KDTree
 from deepgps.data.segments import Segments
 from deepgps.data.turns import CompassTurns
 from deepgps.initial_map.compass.bars import Bars, lay_out
-from deepgps.initial_map.compass.closures import Closures
+from deepgps.initial_map.compass.closures import Closures, find_doubted
 from deepgps.initial_map.compass.compass_map import CompassMap, find_compass_map, refine
 from deepgps.initial_map.compass.factors import Factors, add_factors
 from deepgps.initial_map.compass.least_squares import CURVATURE_STD, Equations
@@ -312,6 +314,17 @@ def repeat(made: Drive, shift_m: float) -> Drive:
 
 
 @pytest.mark.parametrize("seeds", [range(1), pytest.param(range(1, 4), marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("held", "doubted"), [(False, [4, 5, 6, 7]), (True, [4])])
+def test_what_hangs_on_doubted_segments_alone_is_doubted(held: bool, doubted: list[int]):
+    bars: Any = SimpleNamespace(segment=np.arange(8), row=np.arange(8))
+    false = [(4, other) for other in (0, 1, 2, 3)] * 5
+    true = [(0, 2), (1, 3), (5, 7)] * 10 + [(7, 0)] * held
+    one, other = np.array(false + true).T
+    links: Any = SimpleNamespace(one=one, other=other)
+    inliers: Any = SimpleNamespace(mask=np.arange(len(one)) >= len(false))
+    assert np.flatnonzero(find_doubted(bars, links, inliers)).tolist() == doubted
+
+
 def test_in_a_world_that_repeats_a_good_path_decides_and_a_bad_one_says_that_it_cannot(seeds: range):
     made = repeat(drive(150, noise=0.3), shift_m=1.0)
     good = find_map(made)
