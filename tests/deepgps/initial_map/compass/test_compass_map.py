@@ -313,7 +313,6 @@ def repeat(made: Drive, shift_m: float) -> Drive:
     return replace(made, closures=add(made.closures, first, second, np.full(len(first), np.nan)))
 
 
-@pytest.mark.parametrize("seeds", [range(1), pytest.param(range(1, 4), marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("held", "doubted"), [(False, [4, 5, 6, 7]), (True, [4])])
 def test_what_hangs_on_doubted_segments_alone_is_doubted(held: bool, doubted: list[int]):
     bars: Any = SimpleNamespace(segment=np.arange(8), row=np.arange(8))
@@ -325,6 +324,7 @@ def test_what_hangs_on_doubted_segments_alone_is_doubted(held: bool, doubted: li
     assert np.flatnonzero(find_doubted(bars, links, inliers)).tolist() == doubted
 
 
+@pytest.mark.parametrize("seeds", [range(1), pytest.param(range(1, 4), marks=pytest.mark.slow)])
 def test_in_a_world_that_repeats_a_good_path_decides_and_a_bad_one_says_that_it_cannot(seeds: range):
     made = repeat(drive(150, noise=0.3), shift_m=1.0)
     good = find_map(made)
