@@ -83,6 +83,12 @@ class Scenario(SimSettings):
         return self
 
     @model_validator(mode="after")
+    def _the_drive_is_done_by_a_method_that_it_names(self) -> "Scenario":
+        if self.drive.until.radius_m is not None and "registration" not in self.methods:
+            raise ValueError(f"drive.until.radius_m {self.drive.until.radius_m:g} needs registration in methods")
+        return self
+
+    @model_validator(mode="after")
     def _the_circle_can_be_halved(self) -> "Scenario":
         if self.learn.network.architecture == "invariant" and self.camera.sectors % 32 != 0:
             raise ValueError(

@@ -5,6 +5,7 @@ training fixes its number of threads and its random numbers, so it gives the sam
 Features that several methods share are computed by the first that needs them, while the others wait.
 """
 
+import re
 import time
 import traceback
 from collections.abc import Callable, Mapping, Sequence
@@ -22,10 +23,14 @@ from deepgps.config.learning import LearnSettings
 from deepgps.config.methods import METHODS, folder_of
 from deepgps.config.scenario import Scenario
 from deepgps.runs.provenance import timed
+from deepgps.runs.run_folder import TRAINED_FILES
 from deepgps.terminal.progress import Look, Report
-from sim.errors import WorkError
+from sim.errors import InputError, WorkError
+from sim.files.atomic import remove_files
 from sim.processes import start_process, usable_cores
-from sim.recording.format import is_whole, open_recording
+from sim.recording.format import Judge, Recording, is_whole, open_recording
+
+TRAINED = re.compile(TRAINED_FILES)  # Paths of a training's files in its method's folder
 
 
 def ask_for_device(scenario: Scenario, folder: Path) -> None:
@@ -61,6 +66,30 @@ def train(scenario: Scenario, folder: Path, progress: Report, processes: int | N
         place = folder_of(folder, method)
         with timed(folder, f"train {method}", done=is_finished(place)):
             fit_method(method, recording, scenario.learn, seed, place, progress)
+
+
+def make_judge(scenario: Scenario, folder: Path) -> Judge | None:
+    """What says whether registration places the images of a recording within ``drive.until.radius_m``, if that is set.
+
+    What is learned for that stays in a run's ``folder`` if they are.
+    """
+    largest_m, place = scenario.drive.until.radius_m, folder_of(folder, "registration")
+    if largest_m is None:
+        return None
+
+    def is_enough(recording: Recording) -> bool:
+        from deepgps.methods.fit import fit_method
+        from deepgps.positioner.stored_positioner import read_training
+
+        remove_files(place, TRAINED)  # what a killed process learned may be of other images
+        with suppress(InputError):  # too few segments pass one another yet
+            fit_method("registration", recording, scenario.learn, training_seed(scenario), place)
+            if read_training(place)["left_out_m"] <= largest_m:
+                return True
+        remove_files(place, TRAINED)
+        return False
+
+    return is_enough
 
 
 def training_seed(scenario: Scenario) -> int:

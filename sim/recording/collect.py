@@ -18,7 +18,7 @@ import numpy as np
 
 from sim.errors import DamagedError, InputError, WorkError
 from sim.files.atomic import check_space, list_files, remove_files
-from sim.files.checksums import write_array, write_arrays
+from sim.files.checksums import write_array, write_arrays, write_json
 from sim.geometry import save_free_space, spread_headings
 from sim.processes import uninterrupted
 from sim.recording.assemble import (
@@ -32,22 +32,25 @@ from sim.recording.assemble import (
     write_tag_labels,
     write_tests,
 )
-from sim.recording.chunks import CHUNK, count_wanted, drive_chunk, part_files, sense_part
+from sim.recording.chunks import CHUNK, count_wanted, drive_chunk, find_least, part_files, sense_part
 from sim.recording.derive import link_training
 from sim.recording.format import (
     OWN_PATH,
     PART,
     RECORDING,
     WORK_PATH,
+    Judge,
     Report,
+    add_checksums,
     chunk_files,
-    finish_recording,
+    open_recording,
     work_folder,
 )
 from sim.recording.manifest import (
     DEPLOYMENT_FOLDER,
     NO_TESTS,
     PACKAGES,
+    Manifest,
     choose_deployment,
     light_part,
     name_sensors,
@@ -81,6 +84,7 @@ class _Job:
     folder: Path  # The recording's folder
     work: Path  # Folder of its parts
     base: Path | None = None  # A finished recording from which all but the tests is taken; None: the drive is made
+    is_enough: Judge | None = None  # Asked where the drive would end before its last sample; None: it ends there
 
     def estimate_bytes(self) -> int:
         """Bytes that the recording needs at least, in addition to its existing parts."""
@@ -104,13 +108,16 @@ def collect(
     progress: Report,
     workers: int | None = None,
     base: Path | None = None,
+    is_enough: Judge | None = None,
 ) -> None:
     """Make a recording, or complete an unfinished one without ``manifest.json``; a deployment drive comes first.
 
     Progress is a stage (``drive`` or ``render``, or these ``in deployment``), the number of images done and the total.
     Without a number of workers, one renders on each usable core, or fewer if there are few images. Of a base, a
-    finished recording for which ``has_same_training_drive`` holds, only what differs is made. Raises InputError if the
-    room cannot be used or has no test position, WorkError if there is no renderer, physics failed, or the disk is full.
+    finished recording for which ``has_same_training_drive`` holds, only what differs is made. A drive that would end
+    early goes on while ``is_enough``, which always says the same of the same recording, denies that. Raises InputError
+    if the room cannot be used or has no test position, WorkError if there is no renderer, physics failed, or the disk
+    is full.
     """
     start = time.perf_counter()
     work = work_folder(folder)
@@ -126,7 +133,7 @@ def collect(
     for note in list_notes(world.model) if settings.room.mjcf is not None else ():
         log.warning("%s", note)
     test_pose = NO_TESTS if settings.grid.held_out else lay_grid(world, settings)
-    job = _Job(settings, seed, world, test_pose, folder, work, base)
+    job = _Job(settings, seed, world, test_pose, folder, work, base, is_enough)
     deployment = _plan_deployment(job)
     check_space(folder, sum(one.estimate_bytes() for one in (job, *deployment)))
     for one in deployment:
@@ -155,11 +162,32 @@ def _record(job: _Job, progress: Report, workers: int | None, build_s: float, st
     with uninterrupted():  # trimesh takes any exception for a missing package
         from sim.recording.scene_mesh import write_scene  # which worker processes, which import this file, do not need
 
+    if job.base is None:
+        save_free_space(job.folder / "truth" / "free_space.npz", job.world.free_space)
+        write_scene(RoomWorld(job.world.settings).model, job.folder / "scene.glb")
+    manifest = _make(job, progress, workers, build_s, start, too_few=0)
+    while not _is_enough(job, manifest):
+        manifest = _make(job, progress, workers, build_s, start, too_few=manifest["samples"])
+    write_json(job.folder / "manifest.json", manifest)
+    remove_files(job.work, WORK_PATH)
+
+
+def _is_enough(job: _Job, manifest: dict[str, Any]) -> bool:
+    if job.is_enough is None or job.base is not None or manifest["samples"] >= job.settings.drive.samples:
+        return True
+    return job.is_enough(open_recording(job.folder, Manifest.model_validate(manifest)))
+
+
+def _make(
+    job: _Job, progress: Report, workers: int | None, build_s: float, start: float, too_few: int
+) -> dict[str, Any]:
+    """Make what lasts of a recording whose drive goes on after so many samples that are ``too_few``; returns its
+    manifest, which is still to be written."""
     deaths = 0
     count = workers or count_renderers(job.count_images())
     for tries in range(TRIES):
         with Renderers(sense_part, count, build_s) as renderers:
-            parts = _make_parts(renderers, job, progress)
+            parts = _make_parts(renderers, job, progress, too_few)
         deaths += renderers.deaths
         try:
             counts = _assemble(job, *parts)
@@ -167,9 +195,6 @@ def _record(job: _Job, progress: Report, workers: int | None, build_s: float, st
         except DamagedError as error:  # the part is removed, and is made again
             if tries == TRIES - 1:
                 raise WorkError(f"{error}, {TRIES} times: what is written here does not stay as it is") from None
-    if job.base is None:
-        save_free_space(job.folder / "truth" / "free_space.npz", job.world.free_space)
-        write_scene(RoomWorld(job.world.settings).model, job.folder / "scene.glb")
     manifest = {
         "sensors": name_sensors(job.settings),
         "settings": job.settings.model_dump(mode="json"),
@@ -180,8 +205,7 @@ def _record(job: _Job, progress: Report, workers: int | None, build_s: float, st
         "packages": {name: version(name) for name in PACKAGES},
         "collect_s": round(time.perf_counter() - start, 2),
     }
-    finish_recording(job.folder, manifest)
-    remove_files(job.work, WORK_PATH)
+    return add_checksums(job.folder, manifest)
 
 
 def lay_grid(world: RoomWorld, settings: SimSettings) -> np.ndarray:
@@ -202,7 +226,7 @@ def lay_grid(world: RoomWorld, settings: SimSettings) -> np.ndarray:
     return spread_headings(points, settings.grid.headings)
 
 
-def _make_parts(renderers: Renderers, job: _Job, progress: Report) -> tuple[CollectedDrive, list[Path]]:
+def _make_parts(renderers: Renderers, job: _Job, progress: Report, too_few: int) -> tuple[CollectedDrive, list[Path]]:
     """Drive and draw the missing parts; returns the drive, empty if it is another's, and the files of the tests."""
     given = 0
 
@@ -215,7 +239,7 @@ def _make_parts(renderers: Renderers, job: _Job, progress: Report) -> tuple[Coll
     tests = _lay_out_tests(job)
     for part in tests:
         give(part)
-    drive = CollectedDrive([], [], []) if job.base else _drive(job, give, progress)
+    drive = CollectedDrive([], [], []) if job.base else _drive(job, give, progress, too_few)
     total = len(tests) + len(drive.images)
     parts = total + len(drive.turns)
 
@@ -227,17 +251,20 @@ def _make_parts(renderers: Renderers, job: _Job, progress: Report) -> tuple[Coll
     return drive, [part.path for part in tests]
 
 
-def _drive(job: _Job, give: Callable[[Part], None], progress: Report) -> CollectedDrive:
-    """Drive until there are enough samples and hand each chunk over to be drawn; intact existing chunks are read."""
+def _drive(job: _Job, give: Callable[[Part], None], progress: Report, too_few: int) -> CollectedDrive:
+    """Drive until there are enough samples and hand each chunk over to be drawn; intact existing chunks are read.
+
+    Where the drive would end with ``too_few``, or was found to when the next chunk was driven, it goes on.
+    """
     world, settings, work = job.world, job.world.settings, job.work
     rng, chance = stream(job.seed, "drive"), spawn_streams(job.seed)
     drive, chunk = CollectedDrive([], [], []), None
-    driven, wanted = 0, 1
+    driven, wanted, least = 0, 1, 0
     while driven < wanted:
         path, images, turns = chunk_files(work, len(drive.chunks))
         before, chunk = chunk, read_if_whole(path)
         if chunk is None:
-            chunk = drive_chunk(world, settings, rng, before)
+            chunk = drive_chunk(world, settings, rng, before, least)
             write_arrays(path, chunk)
         drive.chunks.append(chunk)
         drive.images.append(images)
@@ -247,7 +274,10 @@ def _drive(job: _Job, give: Callable[[Part], None], progress: Report) -> Collect
         if settings.drive.turn_images and len(turned := chunk["turn_state"]):
             drive.turns.append(turns)
             give(Part(lit, turned, turns, draw_leans(settings.camera_mount, len(turned), chance.turn_lean)))
-        driven, wanted = count_wanted(settings, chunk)
+        driven, wanted = count_wanted(settings, chunk, least)
+        if driven == wanted and (driven <= too_few or chunk_files(work, len(drive.chunks))[0].is_file()):
+            least = find_least(driven)
+            wanted = count_wanted(settings, chunk, least)[1]
         progress("drive", driven, wanted)
     return drive
 
