@@ -61,8 +61,7 @@ def describe_unseen(about: Manifest, images: int, driven_m: float, radius_m: flo
     (unseen, low, high), drive = more["unseen"], about.settings.get("drive", {})
     until = drive.get("until", {})
     done = until.get("unseen") is not None and unseen <= until["unseen"]
-    if "radius_m" in until:
-        done = done and images < drive["samples"]
+    done = done and not ("radius_m" in until and images >= drive["samples"])
     return {
         "explore": {
             "unseen": unseen,  # Share of the floor without an image within 0.25 m, likely
@@ -72,7 +71,7 @@ def describe_unseen(about: Manifest, images: int, driven_m: float, radius_m: flo
             "radius_m": radius_m,
             "driven_m": driven_m,  # Distance along all segments [m]
             "images": images,  # Observations
-            # Which of the drive's settings ended it, the last of until: unseen, radius_m, or samples
+            # Which of the drive's settings ended it: until.unseen, until.radius_m or samples
             "ended_by": ("radius_m" if "radius_m" in until else "unseen") if done else "samples",
         }
     }

@@ -77,17 +77,19 @@ def make_recording(
     A base is a recording with the same training drive, which is shared unless it is damaged. Without a number of
     renderers, as many processes draw a room's images as pay on all cores. For ``is_enough`` see ``collect``.
     """
-    if base is not None:
-        try:
-            check_recording(base)
-            return _record_room(scenario, folder, progress, renderers, base=base)
-        except DamagedError as error:
-            log.warning("%s; the drive is made again", error)
-    if scenario.world == "room":
-        return _record_room(scenario, folder, progress, renderers, is_enough)
-    from sim.planar.drive import collect as collect_plane
+    if scenario.world != "room":
+        from sim.planar.drive import collect as collect_plane
 
-    collect_plane(scenario.sim, scenario.seed, folder, progress)
+        return collect_plane(scenario.sim, scenario.seed, folder, progress)
+    from sim.recording.collect import collect as collect_room
+
+    try:
+        if base is not None:
+            check_recording(base)
+    except DamagedError as error:
+        log.warning("%s; the drive is made again", error)
+        base = None
+    collect_room(scenario.sim, scenario.seed, folder, progress, renderers, base, is_enough)
 
 
 def check_log(path: Path, scenario: Scenario) -> None:
@@ -124,16 +126,3 @@ def find_parts(settings: SimSettings) -> tuple[np.ndarray, np.ndarray]:
     from sim.tools.gallery import find_parts as find
 
     return find(settings.room)
-
-
-def _record_room(
-    scenario: Scenario,
-    folder: Path,
-    progress: Report,
-    renderers: int | None,
-    is_enough: Judge | None = None,
-    base: Path | None = None,
-) -> None:
-    from sim.recording.collect import collect as collect_room
-
-    collect_room(scenario.sim, scenario.seed, folder, progress, renderers, base, is_enough)

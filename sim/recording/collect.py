@@ -83,6 +83,10 @@ class _Job:
     test_pose: np.ndarray  # Poses of the test positions (C, H, 3); empty if test samples are held out
     folder: Path  # The recording's folder
     work: Path  # Folder of its parts
+    progress: Report
+    workers: int | None  # Processes that draw; None: as many as pay
+    start: float  # When the work on it, or on its room, began [s]
+    build_s: float  # How long its room takes to build [s]
     base: Path | None = None  # A finished recording from which all but the tests is taken; None: the drive is made
     is_enough: Judge | None = None  # Asked where the drive would end before its last sample; None: it ends there
 
@@ -133,14 +137,11 @@ def collect(
     for note in list_notes(world.model) if settings.room.mjcf is not None else ():
         log.warning("%s", note)
     test_pose = NO_TESTS if settings.grid.held_out else lay_grid(world, settings)
-    job = _Job(settings, seed, world, test_pose, folder, work, base, is_enough)
-    deployment = _plan_deployment(job)
-    check_space(folder, sum(one.estimate_bytes() for one in (job, *deployment)))
-    for one in deployment:
-        _record(
-            one, lambda stage, *done: progress(f"{stage} in deployment", *done), workers, build_s, time.perf_counter()
-        )
-    _record(job, progress, workers, build_s, start)
+    job = _Job(settings, seed, world, test_pose, folder, work, progress, workers, start, build_s, base, is_enough)
+    jobs = [*_plan_deployment(job), job]
+    check_space(folder, sum(one.estimate_bytes() for one in jobs))
+    for one in jobs:
+        _record(one)
 
 
 def _plan_deployment(job: _Job) -> list[_Job]:
@@ -153,21 +154,26 @@ def _plan_deployment(job: _Job) -> list[_Job]:
         return []
     remove_files(folder, OWN_PATH)
     work.mkdir(exist_ok=True)
-    settings = choose_deployment(job.settings)
-    return [_Job(settings, seed_deployment(job.seed), RoomWorld(settings, drawn=False), NO_TESTS, folder, work)]
+    settings, start = choose_deployment(job.settings), time.perf_counter()
+    world, seed = RoomWorld(settings, drawn=False), seed_deployment(job.seed)
+
+    def report(stage: str, done: int, total: int) -> None:
+        job.progress(f"{stage} in deployment", done, total)
+
+    return [_Job(settings, seed, world, NO_TESTS, folder, work, report, job.workers, start, job.build_s)]
 
 
-def _record(job: _Job, progress: Report, workers: int | None, build_s: float, start: float) -> None:
-    """Make one recording, or complete it; ``start`` is when that began and ``build_s`` how long its room takes [s]."""
+def _record(job: _Job) -> None:
+    """Make one recording, or complete it."""
     with uninterrupted():  # trimesh takes any exception for a missing package
         from sim.recording.scene_mesh import write_scene  # which worker processes, which import this file, do not need
 
     if job.base is None:
         save_free_space(job.folder / "truth" / "free_space.npz", job.world.free_space)
         write_scene(RoomWorld(job.world.settings).model, job.folder / "scene.glb")
-    manifest = _make(job, progress, workers, build_s, start, too_few=0)
+    manifest = _make(job, too_few=0)
     while not _is_enough(job, manifest):
-        manifest = _make(job, progress, workers, build_s, start, too_few=manifest["samples"])
+        manifest = _make(job, too_few=manifest["samples"])
     write_json(job.folder / "manifest.json", manifest)
     remove_files(job.work, WORK_PATH)
 
@@ -178,16 +184,14 @@ def _is_enough(job: _Job, manifest: dict[str, Any]) -> bool:
     return job.is_enough(open_recording(job.folder, Manifest.model_validate(manifest)))
 
 
-def _make(
-    job: _Job, progress: Report, workers: int | None, build_s: float, start: float, too_few: int
-) -> dict[str, Any]:
+def _make(job: _Job, too_few: int) -> dict[str, Any]:
     """Make what lasts of a recording whose drive goes on after so many samples that are ``too_few``; returns its
     manifest, which is still to be written."""
     deaths = 0
-    count = workers or count_renderers(job.count_images())
+    count = job.workers or count_renderers(job.count_images())
     for tries in range(TRIES):
-        with Renderers(sense_part, count, build_s) as renderers:
-            parts = _make_parts(renderers, job, progress, too_few)
+        with Renderers(sense_part, count, job.build_s) as renderers:
+            parts = _make_parts(renderers, job, too_few)
         deaths += renderers.deaths
         try:
             counts = _assemble(job, *parts)
@@ -203,7 +207,7 @@ def _make(
         "odometry": describe_odometry(job.settings.encoder, job.world.body.wheel_radius_m, job.world.body.track_m),
         "renderer_deaths": deaths,
         "packages": {name: version(name) for name in PACKAGES},
-        "collect_s": round(time.perf_counter() - start, 2),
+        "collect_s": round(time.perf_counter() - job.start, 2),
     }
     return add_checksums(job.folder, manifest)
 
@@ -226,7 +230,7 @@ def lay_grid(world: RoomWorld, settings: SimSettings) -> np.ndarray:
     return spread_headings(points, settings.grid.headings)
 
 
-def _make_parts(renderers: Renderers, job: _Job, progress: Report, too_few: int) -> tuple[CollectedDrive, list[Path]]:
+def _make_parts(renderers: Renderers, job: _Job, too_few: int) -> tuple[CollectedDrive, list[Path]]:
     """Drive and draw the missing parts; returns the drive, empty if it is another's, and the files of the tests."""
     given = 0
 
@@ -239,19 +243,19 @@ def _make_parts(renderers: Renderers, job: _Job, progress: Report, too_few: int)
     tests = _lay_out_tests(job)
     for part in tests:
         give(part)
-    drive = CollectedDrive([], [], []) if job.base else _drive(job, give, progress, too_few)
+    drive = CollectedDrive([], [], []) if job.base else _drive(job, give, too_few)
     total = len(tests) + len(drive.images)
     parts = total + len(drive.turns)
 
     def tell(drawn: int) -> None:
-        progress("render", round((parts - given + drawn) / parts * total) * CHUNK, total * CHUNK)
+        job.progress("render", round((parts - given + drawn) / parts * total) * CHUNK, total * CHUNK)
 
     renderers.finish(tell)
     tell(given)
     return drive, [part.path for part in tests]
 
 
-def _drive(job: _Job, give: Callable[[Part], None], progress: Report, too_few: int) -> CollectedDrive:
+def _drive(job: _Job, give: Callable[[Part], None], too_few: int) -> CollectedDrive:
     """Drive until there are enough samples and hand each chunk over to be drawn; intact existing chunks are read.
 
     Where the drive would end with ``too_few``, or was found to when the next chunk was driven, it goes on.
@@ -278,7 +282,7 @@ def _drive(job: _Job, give: Callable[[Part], None], progress: Report, too_few: i
         if driven == wanted and (driven <= too_few or chunk_files(work, len(drive.chunks))[0].is_file()):
             least = find_least(driven)
             wanted = count_wanted(settings, chunk, least)[1]
-        progress("drive", driven, wanted)
+        job.progress("drive", driven, wanted)
     return drive
 
 

@@ -129,9 +129,7 @@ def count_drives(drives: int, samples: int) -> int:
 
 
 def _choose(scenario: Scenario, samples: int) -> Scenario:
-    sim = choose_drive(scenario.sim, samples)
-    names = ("encoder", "image_faults", "deployment", "drive")
-    return scenario.model_copy(update={name: getattr(sim, name) for name in names})
+    return scenario.model_copy(update=dict(choose_drive(scenario.sim, samples)))
 
 
 def _name_drive(scenario: Scenario) -> str:
@@ -158,8 +156,7 @@ def _find_bases(scenarios: dict[str, Scenario], drives: Iterable[Scenario], home
 
 
 def _name_training_drive(scenario: Scenario) -> str:
-    sim = keep_training_settings(scenario.sim)
-    return digest_recording(scenario.model_copy(update={"deployment": sim.deployment, "grid": sim.grid}))
+    return digest_recording(scenario.model_copy(update=dict(keep_training_settings(scenario.sim))))
 
 
 def _collect_in_turn(drives: Mapping[str, CollectTask], progress: Tell) -> Failures:
