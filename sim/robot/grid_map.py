@@ -188,8 +188,10 @@ def _open_doors(by_rays: np.ndarray, fits: np.ndarray, been: np.ndarray) -> np.n
 
 def find_reached(floor: np.ndarray, been: np.ndarray) -> np.ndarray:
     """The parts of the floor, a mask of cells, in which the robot was, a mask, too; all before it was anywhere."""
-    parts = cv2.connectedComponents(floor.astype(np.uint8), connectivity=4)[1]
-    return floor & np.isin(parts, parts[floor & been]) if been.any() else floor
+    count, parts = cv2.connectedComponents(floor.astype(np.uint8), connectivity=4)
+    reached = np.zeros(count, bool)
+    reached[parts[floor & been]] = True
+    return floor & reached[parts] if been.any() else floor
 
 
 def find(place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
