@@ -28,7 +28,7 @@ from sim.files.atomic import remove_files
 from sim.processes import start_process, usable_cores
 from sim.recording.format import Judge, Recording, is_whole, open_recording
 
-TRAINED = re.compile(TRAINED_FILES)  # Paths of a training's files in its method's folder
+TRAINING_FILES = re.compile(TRAINED_FILES)  # Paths of a training's files in its method's folder
 
 
 def ask_for_device(scenario: Scenario, folder: Path) -> None:
@@ -79,12 +79,12 @@ def make_judge(scenario: Scenario, folder: Path) -> Judge | None:
         from deepgps.methods.fit import fit_method
         from deepgps.positioner.stored_positioner import read_training
 
-        remove_files(place, TRAINED)  # what a killed process learned may be of other images
+        remove_files(place, TRAINING_FILES)  # what a killed process learned may be of other images
         with suppress(InputError):  # too few segments pass one another yet
             fit_method("registration", recording, scenario.learn, training_seed(scenario), place)
             if read_training(place)["left_out_m"] <= largest_m:
                 return True
-        remove_files(place, TRAINED)
+        remove_files(place, TRAINING_FILES)
         return False
 
     return is_enough
