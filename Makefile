@@ -24,8 +24,8 @@ test: setup-dev  ## every law, quickly
 test-all: setup-dev  ## all tests: whole runs and studies, killed ones too, examples, every command of the documentation
 	$(PYTEST)
 
-bench: setup  ## how fast this machine runs the demo, draws, trains and positions
-	PYTHONPATH=. $(BIN)/python tests/bench.py
+bench: setup  ## how fast this machine runs the demo, draws, trains and positions; ARGS=--scale: 8,000 to 64,000 images
+	PYTHONPATH=. $(BIN)/python tests/bench.py $(ARGS)
 
 times: setup-dev  ## how long set-up, demo and tests take on this machine: the README's table
 	PYTHONPATH=. $(BIN)/python docs/times.py

@@ -5,7 +5,7 @@ from typing import Any, Literal
 
 from deepgps.config.scenario import Scenario
 from deepgps.evaluation.measure_run import evaluate
-from deepgps.methods.train import ask_for_device, train
+from deepgps.methods.train import ask_for_device, make_judge, train
 from deepgps.runs.collect import collect, draw_views
 from deepgps.runs.provenance import timed
 from deepgps.runs.run_folder import claim
@@ -36,7 +36,7 @@ def run(
             link_recording(recording, place)
         if last != "collect":  # training may happen on another machine
             ask_for_device(scenario, place)
-        collect(scenario, place, progress)
+        collect(scenario, place, progress, make_judge(scenario, place))
         if last == "collect":
             return None
         train(scenario, place, progress)

@@ -1,6 +1,7 @@
 """Measure how fast this machine runs a scenario, draws images, trains and positions, and how much memory that takes.
 
-Usage: python tests/bench.py [SCENARIO], by default demo; it works in a temporary folder of runs/.
+Usage: python tests/bench.py [SCENARIO], by default demo; it works in a temporary folder of runs/. With ``--scale``, see
+``tests/bench_scale.py``.
 """
 
 import resource
@@ -27,6 +28,7 @@ from sim.files.checksums import read_json  # noqa: E402
 from sim.recording.format import open_recording  # noqa: E402
 from sim.robot.world import RoomWorld  # noqa: E402
 from sim.sensors.camera.fisheye import Fisheye  # noqa: E402
+from tests import bench_scale  # noqa: E402
 
 Row = tuple[str, float, str]
 """What was measured, its value and its unit."""
@@ -89,6 +91,9 @@ def time_call(work: Callable[[], object]) -> float:
 
 def main() -> None:
     """Measure everything and print each figure as soon as it is known."""
+    if "--scale" in sys.argv:
+        bench_scale.main([int(images) for images in sys.argv[2:]])
+        return
     name = sys.argv[1] if len(sys.argv) > 1 else "demo"
     Path("runs").mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory(dir="runs", prefix="bench-") as work:

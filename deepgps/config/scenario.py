@@ -74,6 +74,8 @@ class Scenario(SimSettings):
                 raise ValueError(f"methods: {name} needs {OBSERVATION_SOURCES[observes]}")
             if name in METHODS and METHODS[name].reads_turns and not self.drive.turn_images:
                 raise ValueError(f"methods: {name} needs drive.turn_images true")
+        if (radius_m := self.drive.until.radius_m) is not None and "registration" not in self.methods:
+            raise ValueError(f"drive.until.radius_m {radius_m:g} needs registration in methods")
         if self.observation != "polar_image" and self.learn.network.architecture != "spectral":
             by = "sensor lidar" if self.world == "room" else f"world {self.world}"
             raise ValueError(

@@ -43,12 +43,13 @@ def describe_drive(recording: Recording, methods: Mapping[str, Any] = EMPTY) -> 
     segments, driven_m = about.segments, about.distance_driven_m
     if driven_m is None:
         driven_m = measure_driven(segment, travel(recording.reading[:, 2:], about.odometry).mean(axis=1))
-    radii = [known["left_out_m"] for known in methods.values() if "left_out_m" in known]
     return {
         "samples": len(recording.observation),  # Observations
         "segments": len(np.unique(segment)) if segments is None else segments,  # Straight segments
         "distance_driven_m": driven_m,  # Distance along all segments [m]
-        **describe_unseen(about, len(recording.observation), driven_m, min(radii, default=None)),
+        **describe_unseen(
+            about, len(recording.observation), driven_m, methods.get("registration", {}).get("left_out_m")
+        ),
     }
 
 
@@ -57,7 +58,10 @@ def describe_unseen(about: Manifest, images: int, driven_m: float, radius_m: flo
     more = about.model_extra or {}
     if "unseen" not in more:
         return {}
-    (unseen, low, high), until = more["unseen"], about.settings.get("drive", {}).get("until", {}).get("unseen")
+    (unseen, low, high), drive = more["unseen"], about.settings.get("drive", {})
+    until = drive.get("until", {})
+    done = until.get("unseen") is not None and unseen <= until["unseen"]
+    done = done and not ("radius_m" in until and images >= drive["samples"])
     return {
         "explore": {
             "unseen": unseen,  # Share of the floor without an image within 0.25 m, likely
@@ -67,8 +71,8 @@ def describe_unseen(about: Manifest, images: int, driven_m: float, radius_m: flo
             "radius_m": radius_m,
             "driven_m": driven_m,  # Distance along all segments [m]
             "images": images,  # Observations
-            # Which of the drive's settings ended it: until.unseen or samples
-            "ended_by": "unseen" if until is not None and unseen <= until else "samples",
+            # Which of the drive's settings ended it: until.unseen, until.radius_m or samples
+            "ended_by": ("radius_m" if "radius_m" in until else "unseen") if done else "samples",
         }
     }
 

@@ -5,27 +5,30 @@ training fixes its number of threads and its random numbers, so it gives the sam
 Features that several methods share are computed by the first that needs them, while the others wait.
 """
 
+import re
 import time
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from subprocess import Popen
-from typing import NamedTuple
-
-import numpy as np
 
 from deepgps.config.learning import LearnSettings
 from deepgps.config.methods import METHODS, folder_of
 from deepgps.config.scenario import Scenario
 from deepgps.runs.provenance import timed
+from deepgps.runs.run_folder import TRAINED_FILES
 from deepgps.terminal.progress import Look, Report
-from sim.errors import WorkError
+from sim.errors import InputError, WorkError
+from sim.files.atomic import remove_files
 from sim.processes import start_process, usable_cores
-from sim.recording.format import is_whole, open_recording
+from sim.recording.format import Judge, Recording, is_whole, open_recording
+
+TRAINING_FILES = re.compile(TRAINED_FILES)  # Paths of a training's files in its method's folder
 
 
 def ask_for_device(scenario: Scenario, folder: Path) -> None:
@@ -63,6 +66,30 @@ def train(scenario: Scenario, folder: Path, progress: Report, processes: int | N
             fit_method(method, recording, scenario.learn, seed, place, progress)
 
 
+def make_judge(scenario: Scenario, folder: Path) -> Judge | None:
+    """What says whether registration places the images of a recording within ``drive.until.radius_m``, if that is set.
+
+    What is learned for that stays in a run's ``folder`` if they are.
+    """
+    largest_m, place = scenario.drive.until.radius_m, folder_of(folder, "registration")
+    if largest_m is None:
+        return None
+
+    def is_enough(recording: Recording) -> bool:
+        from deepgps.methods.fit import fit_method
+        from deepgps.positioner.stored_positioner import read_training
+
+        remove_files(place, TRAINING_FILES)  # what a killed process learned may be of other images
+        with suppress(InputError):  # too few segments pass one another yet
+            fit_method("registration", recording, scenario.learn, training_seed(scenario), place)
+            if read_training(place)["left_out_m"] <= largest_m:
+                return True
+        remove_files(place, TRAINING_FILES)
+        return False
+
+    return is_enough
+
+
 def training_seed(scenario: Scenario) -> int:
     """The seed of weights and shuffling: the scenario's, unless learning has one of its own."""
     return scenario.seed if scenario.learn.seed is None else scenario.learn.seed
@@ -89,15 +116,6 @@ class Training:
 
         recording = open_recording(self.recording)
         fit_method(self.method, recording, self.settings, self.seed, self.folder, progress)
-
-
-class Step(NamedTuple):
-    """A child's message: the arguments of a progress callback, with a training's history as arrays."""
-
-    label: str
-    done: int
-    total: int
-    history: Mapping[str, np.ndarray] | None
 
 
 def choose_long(methods: Sequence[str], settings: LearnSettings, images: int) -> list[str]:
@@ -143,8 +161,9 @@ def train_side_by_side(trainings: Sequence[Training], most: int, progress: Repor
                     message = pipe.recv()
                 except (EOFError, OSError):
                     raise WorkError(f"training {training.method}: its process ended with {process.wait()}") from None
-                if isinstance(message, Step):
-                    progress(*message[:3], _as_look(message.history))
+                if isinstance(message, tuple):
+                    label, done, total, history = message
+                    progress(label, done, total, None if history is None else partial(dict, history))
                 elif isinstance(message, BaseException):
                     raise message
                 else:
@@ -178,13 +197,9 @@ def _send_steps(pipe: Connection) -> Report:
         history, now = None, time.monotonic()
         if look is not None and (done == total or now - sent.get(label, -PERIOD_S) >= PERIOD_S):
             history, sent[label] = look(), now
-        pipe.send(Step(label, done, total, history))
+        pipe.send((label, done, total, history))
 
     return report
-
-
-def _as_look(history: Mapping[str, np.ndarray] | None) -> Look | None:
-    return None if history is None else lambda: history
 
 
 def _start(ending: ExitStack) -> tuple[Connection, Popen[bytes]]:

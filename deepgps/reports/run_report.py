@@ -93,7 +93,7 @@ def describe(metrics: Mapping[str, Any], times: Mapping[str, float] | None = Non
     ]
     if found := metrics.get("explore"):
         likely, low, high = (f"{100 * found[name]:.1f}" for name in ("unseen", "unseen_low", "unseen_high"))
-        ended = "was done" if found["ended_by"] == "unseen" else "ended with its last image"
+        ended = "was done" if found["ended_by"] != "samples" else "ended with its last image"
         radius = "" if found["radius_m"] is None else f", radius {100 * found['radius_m']:.1f} cm"
         known = f"{likely} % of the floor unseen ({low} to {high}){radius}, after {found['driven_m']:.0f} m"
         sentences.append(f"The drive {ended}; by what the robot itself knows: {known}.")

@@ -16,7 +16,7 @@ from deepgps.runs.source import find_adopted
 from deepgps.terminal.progress import Report
 from sim.errors import DamagedError, InputError, WorkError
 from sim.recording.derive import derive
-from sim.recording.format import check_recording, is_whole
+from sim.recording.format import Judge, check_recording, is_whole
 from sim.sensors.catalog import SENSORS, list_carried
 from sim.settings import SimSettings
 
@@ -45,8 +45,11 @@ def choose_renderer() -> None:
     choose_backend()
 
 
-def collect(scenario: Scenario, folder: Path, progress: Report) -> None:
-    """Make the recording, unless it is finished: from a stored one of the same drive, or else by driving."""
+def collect(scenario: Scenario, folder: Path, progress: Report, is_enough: Judge | None = None) -> None:
+    """Make the recording, unless it is finished: from a stored one of the same drive, or else by driving.
+
+    A drive that would end early goes on while ``is_enough`` denies that its recording is.
+    """
     if find_adopted(folder) or is_whole(folder / "recording"):
         return
     with timed(folder, "collect"):
@@ -55,29 +58,38 @@ def collect(scenario: Scenario, folder: Path, progress: Report) -> None:
             derive(base, scenario.sim, scenario.seed, folder / "recording")
             progress("derive", 1, 1)
         else:
-            make_recording(scenario, folder / "recording", progress, find_training_drive(scenario, folder))
+            make_recording(
+                scenario, folder / "recording", progress, find_training_drive(scenario, folder), is_enough=is_enough
+            )
             keep_drive(scenario, folder)
 
 
 def make_recording(
-    scenario: Scenario, folder: Path, progress: Report, base: Path | None = None, renderers: int | None = None
+    scenario: Scenario,
+    folder: Path,
+    progress: Report,
+    base: Path | None = None,
+    renderers: int | None = None,
+    is_enough: Judge | None = None,
 ) -> None:
     """Drive and record: write the recording ``folder``, or what is missing of it.
 
     A base is a recording with the same training drive, which is shared unless it is damaged. Without a number of
-    renderers, as many processes draw a room's images as pay on all cores.
+    renderers, as many processes draw a room's images as pay on all cores. For ``is_enough`` see ``collect``.
     """
-    if base is not None:
-        try:
-            check_recording(base)
-            return _record_room(scenario, folder, progress, renderers, base)
-        except DamagedError as error:
-            log.warning("%s; the drive is made again", error)
-    if scenario.world == "room":
-        return _record_room(scenario, folder, progress, renderers)
-    from sim.planar.drive import collect as collect_plane
+    if scenario.world != "room":
+        from sim.planar.drive import collect as collect_plane
 
-    collect_plane(scenario.sim, scenario.seed, folder, progress)
+        return collect_plane(scenario.sim, scenario.seed, folder, progress)
+    from sim.recording.collect import collect as collect_room
+
+    try:
+        if base is not None:
+            check_recording(base)
+    except DamagedError as error:
+        log.warning("%s; the drive is made again", error)
+        base = None
+    collect_room(scenario.sim, scenario.seed, folder, progress, renderers, base, is_enough)
 
 
 def check_log(path: Path, scenario: Scenario) -> None:
@@ -114,11 +126,3 @@ def find_parts(settings: SimSettings) -> tuple[np.ndarray, np.ndarray]:
     from sim.tools.gallery import find_parts as find
 
     return find(settings.room)
-
-
-def _record_room(
-    scenario: Scenario, folder: Path, progress: Report, renderers: int | None, base: Path | None = None
-) -> None:
-    from sim.recording.collect import collect as collect_room
-
-    collect_room(scenario.sim, scenario.seed, folder, progress, renderers, base)

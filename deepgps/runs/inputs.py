@@ -52,7 +52,8 @@ def digest_drive(scenario: Scenario, settings: str) -> str:
 
 
 def _hash(settings: str, scenario: Scenario, read: Callable[[str, str], bytes | None]) -> str:
-    state = hashlib.sha256(f"{FORMAT} {settings}".encode())
+    learned = "" if scenario.drive.until.radius_m is None else scenario.learn.model_dump_json()  # it ends the drive
+    state = hashlib.sha256(f"{FORMAT} {settings}{learned}".encode())
     for field, path in list_own_files(scenario).items():
         state.update(read(path, field) or b"")
     return state.hexdigest()[:8]

@@ -27,9 +27,13 @@ CHUNK = 256  # Fewest new observations in a chunk, except in the last one of a d
 
 
 def drive_chunk(
-    world: RoomWorld, settings: SimSettings, rng: np.random.Generator, before: dict[str, np.ndarray] | None
+    world: RoomWorld,
+    settings: SimSettings,
+    rng: np.random.Generator,
+    before: dict[str, np.ndarray] | None,
+    least: int = 0,
 ) -> dict[str, np.ndarray]:
-    """Drive the next chunk; the chunk ``before`` holds everything that it depends on."""
+    """Drive the next chunk; the chunk ``before`` holds everything that it depends on but the ``least`` observations."""
     if before is None:
         world.start(rng)
         segments = observations = 0
@@ -43,7 +47,7 @@ def drive_chunk(
     if before:
         planner.set_state(before)
     first, driven, dropped, relocated = observations, list[dict[str, np.ndarray]](), 0, 0
-    while observations - first < CHUNK and not _is_done(settings, observations, planner.unseen):
+    while observations - first < CHUNK and not _is_done(settings, observations, planner.unseen, least):
         segment = next_segment(world, settings.drive, rng, mode, planner)
         driven.append(_number(segment, segments, observations))
         observations += len(driven[-1]["state"])
@@ -65,17 +69,24 @@ def drive_chunk(
     }
 
 
-def _is_done(settings: SimSettings, observations: int, unseen: np.ndarray) -> bool:
-    """Whether a drive ends after so many observations, with a share of the floor ``unseen`` as planners tell it."""
+def _is_done(settings: SimSettings, observations: int, unseen: np.ndarray, least: int) -> bool:
+    """Whether a drive of at least so many observations, unless there are no more, ends after others, with a share of
+    the floor ``unseen`` as planners tell it."""
     until = settings.drive.until.unseen
-    return observations >= settings.drive.samples + settings.grid.held_out or (until is not None and unseen[0] <= until)
+    seen = until is not None and observations >= least and bool(unseen[0] <= until)
+    return seen or observations >= settings.drive.samples + settings.grid.held_out
 
 
-def count_wanted(settings: SimSettings, chunk: dict[str, np.ndarray]) -> tuple[int, int]:
+def count_wanted(settings: SimSettings, chunk: dict[str, np.ndarray], least: int = 0) -> tuple[int, int]:
     """Observations driven up to the end of a chunk, at most those that are wanted in all, and these."""
     driven, wanted = int(chunk["observations"]), settings.drive.samples + settings.grid.held_out
-    done = _is_done(settings, driven, chunk.get("unseen", np.ones(3)))
+    done = _is_done(settings, driven, chunk.get("unseen", np.ones(3)), least)
     return min(driven, wanted), min(driven, wanted) if done else wanted
+
+
+def find_least(driven: int) -> int:
+    """Fewest observations of a drive that goes on, since those ``driven`` were too few: half as many again."""
+    return driven + (driven + 1) // 2
 
 
 def _number(segment: Segment, number: int, observations: int) -> dict[str, np.ndarray]:

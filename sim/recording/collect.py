@@ -18,7 +18,7 @@ import numpy as np
 
 from sim.errors import DamagedError, InputError, WorkError
 from sim.files.atomic import check_space, list_files, remove_files
-from sim.files.checksums import write_array, write_arrays
+from sim.files.checksums import write_array, write_arrays, write_json
 from sim.geometry import save_free_space, spread_headings
 from sim.processes import uninterrupted
 from sim.recording.assemble import (
@@ -32,22 +32,25 @@ from sim.recording.assemble import (
     write_tag_labels,
     write_tests,
 )
-from sim.recording.chunks import CHUNK, count_wanted, drive_chunk, part_files, sense_part
+from sim.recording.chunks import CHUNK, count_wanted, drive_chunk, find_least, part_files, sense_part
 from sim.recording.derive import link_training
 from sim.recording.format import (
     OWN_PATH,
     PART,
     RECORDING,
     WORK_PATH,
+    Judge,
     Report,
+    add_checksums,
     chunk_files,
-    finish_recording,
+    open_recording,
     work_folder,
 )
 from sim.recording.manifest import (
     DEPLOYMENT_FOLDER,
     NO_TESTS,
     PACKAGES,
+    Manifest,
     choose_deployment,
     light_part,
     name_sensors,
@@ -80,7 +83,12 @@ class _Job:
     test_pose: np.ndarray  # Poses of the test positions (C, H, 3); empty if test samples are held out
     folder: Path  # The recording's folder
     work: Path  # Folder of its parts
+    progress: Report
+    workers: int | None  # Processes that draw; None: as many as pay
+    start: float  # When the work on it, or on its room, began [s]
+    build_s: float  # How long its room takes to build [s]
     base: Path | None = None  # A finished recording from which all but the tests is taken; None: the drive is made
+    is_enough: Judge | None = None  # Asked where the drive would end before its last sample; None: it ends there
 
     def estimate_bytes(self) -> int:
         """Bytes that the recording needs at least, in addition to its existing parts."""
@@ -104,13 +112,16 @@ def collect(
     progress: Report,
     workers: int | None = None,
     base: Path | None = None,
+    is_enough: Judge | None = None,
 ) -> None:
     """Make a recording, or complete an unfinished one without ``manifest.json``; a deployment drive comes first.
 
     Progress is a stage (``drive`` or ``render``, or these ``in deployment``), the number of images done and the total.
     Without a number of workers, one renders on each usable core, or fewer if there are few images. Of a base, a
-    finished recording for which ``has_same_training_drive`` holds, only what differs is made. Raises InputError if the
-    room cannot be used or has no test position, WorkError if there is no renderer, physics failed, or the disk is full.
+    finished recording for which ``has_same_training_drive`` holds, only what differs is made. A drive that would end
+    early goes on while ``is_enough``, which always says the same of the same recording, denies that. Raises InputError
+    if the room cannot be used or has no test position, WorkError if there is no renderer, physics failed, or the disk
+    is full.
     """
     start = time.perf_counter()
     work = work_folder(folder)
@@ -126,14 +137,11 @@ def collect(
     for note in list_notes(world.model) if settings.room.mjcf is not None else ():
         log.warning("%s", note)
     test_pose = NO_TESTS if settings.grid.held_out else lay_grid(world, settings)
-    job = _Job(settings, seed, world, test_pose, folder, work, base)
-    deployment = _plan_deployment(job)
-    check_space(folder, sum(one.estimate_bytes() for one in (job, *deployment)))
-    for one in deployment:
-        _record(
-            one, lambda stage, *done: progress(f"{stage} in deployment", *done), workers, build_s, time.perf_counter()
-        )
-    _record(job, progress, workers, build_s, start)
+    job = _Job(settings, seed, world, test_pose, folder, work, progress, workers, start, build_s, base, is_enough)
+    jobs = [*_plan_deployment(job), job]
+    check_space(folder, sum(one.estimate_bytes() for one in jobs))
+    for one in jobs:
+        _record(one)
 
 
 def _plan_deployment(job: _Job) -> list[_Job]:
@@ -146,20 +154,44 @@ def _plan_deployment(job: _Job) -> list[_Job]:
         return []
     remove_files(folder, OWN_PATH)
     work.mkdir(exist_ok=True)
-    settings = choose_deployment(job.settings)
-    return [_Job(settings, seed_deployment(job.seed), RoomWorld(settings, drawn=False), NO_TESTS, folder, work)]
+    settings, start = choose_deployment(job.settings), time.perf_counter()
+    world, seed = RoomWorld(settings, drawn=False), seed_deployment(job.seed)
+
+    def report(stage: str, done: int, total: int) -> None:
+        job.progress(f"{stage} in deployment", done, total)
+
+    return [_Job(settings, seed, world, NO_TESTS, folder, work, report, job.workers, start, job.build_s)]
 
 
-def _record(job: _Job, progress: Report, workers: int | None, build_s: float, start: float) -> None:
-    """Make one recording, or complete it; ``start`` is when that began and ``build_s`` how long its room takes [s]."""
+def _record(job: _Job) -> None:
+    """Make one recording, or complete it."""
     with uninterrupted():  # trimesh takes any exception for a missing package
         from sim.recording.scene_mesh import write_scene  # which worker processes, which import this file, do not need
 
+    if job.base is None:
+        save_free_space(job.folder / "truth" / "free_space.npz", job.world.free_space)
+        write_scene(RoomWorld(job.world.settings).model, job.folder / "scene.glb")
+    manifest = _make(job, too_few=0)
+    while not _is_enough(job, manifest):
+        manifest = _make(job, too_few=manifest["samples"])
+    write_json(job.folder / "manifest.json", manifest)
+    remove_files(job.work, WORK_PATH)
+
+
+def _is_enough(job: _Job, manifest: dict[str, Any]) -> bool:
+    if job.is_enough is None or job.base is not None or manifest["samples"] >= job.settings.drive.samples:
+        return True
+    return job.is_enough(open_recording(job.folder, Manifest.model_validate(manifest)))
+
+
+def _make(job: _Job, too_few: int) -> dict[str, Any]:
+    """Make what lasts of a recording whose drive goes on after so many samples that are ``too_few``; returns its
+    manifest, which is still to be written."""
     deaths = 0
-    count = workers or count_renderers(job.count_images())
+    count = job.workers or count_renderers(job.count_images())
     for tries in range(TRIES):
-        with Renderers(sense_part, count, build_s) as renderers:
-            parts = _make_parts(renderers, job, progress)
+        with Renderers(sense_part, count, job.build_s) as renderers:
+            parts = _make_parts(renderers, job, too_few)
         deaths += renderers.deaths
         try:
             counts = _assemble(job, *parts)
@@ -167,9 +199,6 @@ def _record(job: _Job, progress: Report, workers: int | None, build_s: float, st
         except DamagedError as error:  # the part is removed, and is made again
             if tries == TRIES - 1:
                 raise WorkError(f"{error}, {TRIES} times: what is written here does not stay as it is") from None
-    if job.base is None:
-        save_free_space(job.folder / "truth" / "free_space.npz", job.world.free_space)
-        write_scene(RoomWorld(job.world.settings).model, job.folder / "scene.glb")
     manifest = {
         "sensors": name_sensors(job.settings),
         "settings": job.settings.model_dump(mode="json"),
@@ -178,10 +207,9 @@ def _record(job: _Job, progress: Report, workers: int | None, build_s: float, st
         "odometry": describe_odometry(job.settings.encoder, job.world.body.wheel_radius_m, job.world.body.track_m),
         "renderer_deaths": deaths,
         "packages": {name: version(name) for name in PACKAGES},
-        "collect_s": round(time.perf_counter() - start, 2),
+        "collect_s": round(time.perf_counter() - job.start, 2),
     }
-    finish_recording(job.folder, manifest)
-    remove_files(job.work, WORK_PATH)
+    return add_checksums(job.folder, manifest)
 
 
 def lay_grid(world: RoomWorld, settings: SimSettings) -> np.ndarray:
@@ -202,7 +230,7 @@ def lay_grid(world: RoomWorld, settings: SimSettings) -> np.ndarray:
     return spread_headings(points, settings.grid.headings)
 
 
-def _make_parts(renderers: Renderers, job: _Job, progress: Report) -> tuple[CollectedDrive, list[Path]]:
+def _make_parts(renderers: Renderers, job: _Job, too_few: int) -> tuple[CollectedDrive, list[Path]]:
     """Drive and draw the missing parts; returns the drive, empty if it is another's, and the files of the tests."""
     given = 0
 
@@ -215,29 +243,32 @@ def _make_parts(renderers: Renderers, job: _Job, progress: Report) -> tuple[Coll
     tests = _lay_out_tests(job)
     for part in tests:
         give(part)
-    drive = CollectedDrive([], [], []) if job.base else _drive(job, give, progress)
+    drive = CollectedDrive([], [], []) if job.base else _drive(job, give, too_few)
     total = len(tests) + len(drive.images)
     parts = total + len(drive.turns)
 
     def tell(drawn: int) -> None:
-        progress("render", round((parts - given + drawn) / parts * total) * CHUNK, total * CHUNK)
+        job.progress("render", round((parts - given + drawn) / parts * total) * CHUNK, total * CHUNK)
 
     renderers.finish(tell)
     tell(given)
     return drive, [part.path for part in tests]
 
 
-def _drive(job: _Job, give: Callable[[Part], None], progress: Report) -> CollectedDrive:
-    """Drive until there are enough samples and hand each chunk over to be drawn; intact existing chunks are read."""
+def _drive(job: _Job, give: Callable[[Part], None], too_few: int) -> CollectedDrive:
+    """Drive until there are enough samples and hand each chunk over to be drawn; intact existing chunks are read.
+
+    Where the drive would end with ``too_few``, or was found to when the next chunk was driven, it goes on.
+    """
     world, settings, work = job.world, job.world.settings, job.work
     rng, chance = stream(job.seed, "drive"), spawn_streams(job.seed)
     drive, chunk = CollectedDrive([], [], []), None
-    driven, wanted = 0, 1
+    driven, wanted, least = 0, 1, 0
     while driven < wanted:
         path, images, turns = chunk_files(work, len(drive.chunks))
         before, chunk = chunk, read_if_whole(path)
         if chunk is None:
-            chunk = drive_chunk(world, settings, rng, before)
+            chunk = drive_chunk(world, settings, rng, before, least)
             write_arrays(path, chunk)
         drive.chunks.append(chunk)
         drive.images.append(images)
@@ -247,8 +278,11 @@ def _drive(job: _Job, give: Callable[[Part], None], progress: Report) -> Collect
         if settings.drive.turn_images and len(turned := chunk["turn_state"]):
             drive.turns.append(turns)
             give(Part(lit, turned, turns, draw_leans(settings.camera_mount, len(turned), chance.turn_lean)))
-        driven, wanted = count_wanted(settings, chunk)
-        progress("drive", driven, wanted)
+        driven, wanted = count_wanted(settings, chunk, least)
+        if driven == wanted and (driven <= too_few or chunk_files(work, len(drive.chunks))[0].is_file()):
+            least = find_least(driven)
+            wanted = count_wanted(settings, chunk, least)[1]
+        job.progress("drive", driven, wanted)
     return drive
 
 

@@ -72,14 +72,19 @@ BATCH_SIZE = 256  # Images that are processed at a time
 
 
 def choose_drive(settings: SimSettings, samples: int) -> SimSettings:
-    """Settings of the fault-free recording of so many samples from which others of the same drive are derived."""
-    drive = settings.drive.model_copy(update={"samples": samples})
-    return drop_faults(settings.model_copy(update={"encoder": EncoderSettings(), "drive": drive}))
+    """Settings of the recording of so many samples from which others of the same drive are derived: without faults,
+    unless these decide when it ends."""
+    settings = settings.model_copy(update={"drive": settings.drive.model_copy(update={"samples": samples})})
+    if settings.drive.until.radius_m is not None:
+        return settings
+    return drop_faults(settings.model_copy(update={"encoder": EncoderSettings()}))
 
 
 def can_be_cut(settings: SimSettings) -> bool:
-    """Whether a shorter recording is the beginning of this one; held-out tests, tags or lidar noise prevent that."""
-    return not (settings.grid.held_out or settings.tag_camera.mounted or settings.lidar.noise_m)
+    """Whether a shorter recording is the beginning of this one; held-out tests, tags, lidar noise or what is learned
+    while driving prevent that."""
+    learns = settings.drive.until.radius_m is not None
+    return not (settings.grid.held_out or settings.tag_camera.mounted or settings.lidar.noise_m or learns)
 
 
 def derive(base: Path, settings: SimSettings, seed: int, folder: Path) -> None:

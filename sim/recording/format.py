@@ -65,6 +65,9 @@ class Recording:
         return self.manifest.kind
 
 
+Judge = Callable[[Recording], bool]  # Says whether what was driven so far is enough
+
+
 @dataclass(frozen=True)
 class Labels:
     """Poses measured by the tag camera, in an arbitrary frame; NaN where it saw too few tags."""
@@ -84,12 +87,13 @@ class Truth:
     free_space: FreeSpace  # Where the robot fits
 
 
-def open_recording(folder: Path) -> Recording:
+def open_recording(folder: Path, manifest: Manifest | None = None) -> Recording:
     """Open what the robot sensed and compare its files with their checksums.
 
-    Raises InputError if the folder is not a finished recording, or one of its files is damaged.
+    An unfinished one needs its manifest. Raises InputError if the folder is not a finished recording, or one of its
+    files is damaged.
     """
-    manifest = read_manifest(folder)
+    manifest = manifest or read_manifest(folder)
     _check_files(folder, manifest, truth=False)
     if not manifest.sensors:
         raise InputError(f"{folder / 'manifest.json'}: sensors must name at least one sensor")
@@ -223,13 +227,18 @@ def write_files(folder: Path, arrays: Mapping[str, np.ndarray], manifest: Mappin
 
 
 def finish_recording(folder: Path, manifest: Mapping[str, Any]) -> None:
-    """Complete the recording: write its manifest with the SHA-256 of each file and of a deployment drive's manifest."""
+    """Complete the recording: write its manifest with checksums."""
+    write_json(folder / "manifest.json", add_checksums(folder, manifest))
+
+
+def add_checksums(folder: Path, manifest: Mapping[str, Any]) -> dict[str, Any]:
+    """The manifest with the SHA-256 of each file of a recording and of a deployment drive's manifest."""
     names = sorted(path.relative_to(folder).as_posix() for path in list_files(folder, RECORDING))
     ours = [
         name for name in names if (OWN_PATH.fullmatch(name) and name != "manifest.json") or name == DEPLOYMENT_MANIFEST
     ]
     checksums = {name: sha256(folder / name) for name in ours}
-    write_json(folder / "manifest.json", {**manifest, "format": FORMAT, "sha256": checksums})
+    return {**manifest, "format": FORMAT, "sha256": checksums}
 
 
 def check_recording(folder: Path) -> None:

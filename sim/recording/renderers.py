@@ -57,10 +57,6 @@ class Part:
     leans: np.ndarray | None = None  # Lean of the camera at each state (n, 2) [rad]; None: it is upright
     differed: int = 0  # How often an image of this part came out different when drawn twice
 
-    def again(self) -> "Part":
-        """Return the part with one more difference counted."""
-        return replace(self, differed=self.differed + 1)
-
 
 Draw = Callable[[Part, Callable[[], None]], None]  # Draws a part and calls the function after each image
 
@@ -176,7 +172,8 @@ class Renderers:
 
     def _draw_again(self, worker: _Worker, error: UnsteadyError) -> None:
         """Replace a worker that drew one image differently twice, and queue its parts again."""
-        part = worker.parts.popleft().again()
+        part = worker.parts.popleft()
+        part = replace(part, differed=part.differed + 1)
         if part.differed >= MAX_TRIES:
             raise WorkError(f"{error}, {MAX_TRIES} times; {DOCTOR_HINT}")
         log.warning("%s; the file is drawn again", error)

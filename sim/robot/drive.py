@@ -11,7 +11,6 @@ Each call of `next_segment` starts and ends with the robot at rest and keeps onl
 that a drive can be interrupted and continued after any segment.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
@@ -19,7 +18,6 @@ import numpy as np
 
 from sim.errors import WorkError
 from sim.geometry import planar_pose
-from sim.robot.explorer import make_planner
 from sim.robot.headings import MIN_CLEARANCE_M, Course, DriveMode, Gaps, Planner, Visits, is_staler_aside, turn_to_clear
 from sim.robot.model import CONTROL_PERIOD_S, wheel_speeds
 from sim.robot.motion import (
@@ -81,15 +79,6 @@ class Segment:
     def pose(self) -> np.ndarray:
         """True planar pose at each sample (m, 3)."""
         return planar_pose(self.state)
-
-
-def drive(robot: Robot, settings: DriveSettings, rng: np.random.Generator) -> Iterator[Segment]:
-    """Drive forever, one segment after another."""
-    mode, planner = DriveMode(), make_planner(robot, settings)
-    while True:
-        segment = next_segment(robot, settings, rng, mode, planner)
-        mode = segment.mode
-        yield segment
 
 
 def next_segment(

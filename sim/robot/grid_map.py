@@ -3,6 +3,8 @@
 Its frame is the robot's at its start: x ahead, y to the left.
 """
 
+import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import cv2
@@ -137,11 +139,10 @@ class GridMap:
 
     def read_floor(self, radius_m: float) -> Floor:
         """The floor for a robot of a radius [m]."""
-        seen, felt = self.seen[self.box], self.felt[self.box]
+        seen, felt, disc = self.seen[self.box], self.felt[self.box], _lay_disc(radius_m - TOLERANCE_M)
 
         def fit(obstacle: np.ndarray) -> np.ndarray:
-            away = cv2.distanceTransform((~obstacle).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
-            return _halve((seen != 0) & ~obstacle & (away * CELL_M > radius_m - TOLERANCE_M))
+            return _halve((seen != 0) & (cv2.dilate(obstacle.astype(np.uint8), disc) == 0))
 
         touched, met = felt > 0, (seen > 0) & (seen <= MOST_MEETINGS)
         by_rays, been = fit(met), _halve(felt < 0)
@@ -157,6 +158,15 @@ class GridMap:
         high = np.clip(np.ceil(high_m / CELL_M).astype(int) + CELLS // 2 + 3, 2, CELLS) // 2 * 2
         self.low, self.high = np.minimum(self.low, low), np.maximum(self.high, high)
         return slice(low[1], high[1]), slice(low[0], high[0])
+
+
+@lru_cache
+def _lay_disc(radius_m: float) -> np.ndarray:
+    """Cells (n, n) that are at most so far from the middle one [m], as OpenCV measures."""
+    reach = math.ceil(radius_m / CELL_M)
+    others = np.pad(np.zeros((1, 1), np.uint8), reach, constant_values=1)
+    away = cv2.distanceTransform(others, cv2.DIST_L2, cv2.DIST_MASK_5)
+    return (away * CELL_M <= radius_m).astype(np.uint8)
 
 
 def _halve(cells: np.ndarray) -> np.ndarray:
@@ -178,8 +188,10 @@ def _open_doors(by_rays: np.ndarray, fits: np.ndarray, been: np.ndarray) -> np.n
 
 def find_reached(floor: np.ndarray, been: np.ndarray) -> np.ndarray:
     """The parts of the floor, a mask of cells, in which the robot was, a mask, too; all before it was anywhere."""
-    parts = cv2.connectedComponents(floor.astype(np.uint8), connectivity=4)[1]
-    return floor & np.isin(parts, parts[floor & been]) if been.any() else floor
+    count, parts = cv2.connectedComponents(floor.astype(np.uint8), connectivity=4)
+    reached = np.zeros(count, bool)
+    reached[parts[floor & been]] = True
+    return floor & reached[parts] if been.any() else floor
 
 
 def find(place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

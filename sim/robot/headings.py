@@ -95,8 +95,6 @@ class Visits:
 
     def set_state(self, state: dict[str, np.ndarray]) -> None:
         """Restore the arrays of ``state``; others are not read."""
-        if "visit_angle" not in state:  # a drive with random headings may have begun before there were visits
-            return
         self._angle = state["visit_angle"]
         *place, self._driven_m = state["visit_pose"].tolist()
         self._place = np.array(place)

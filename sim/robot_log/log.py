@@ -123,15 +123,15 @@ def write_log(path: Path, settings: SimSettings, seed: int, recording: Path, key
 def _observe(settings: SimSettings, seed: int, recording: Path, progress: Report) -> list[Topic]:
     """Drive again; return the topics."""
     world = TracedWorld(settings)
-    trace, angle = trace_drive(world, seed, progress)
-    recorded = open_truth(recording).wheel_angle
-    if not np.array_equal(angle[: len(recorded)], recorded):
+    truth = open_truth(recording)
+    trace, angle = trace_drive(world, seed, len(truth.pose), progress)
+    if not np.array_equal(angle[: len(truth.wheel_angle)], truth.wheel_angle):
         raise InputError(
             f"{recording} holds another drive than its settings give on this machine, with these versions of the "
             "packages; make it again with --fresh, then its log can be made"
         )
-    wheels, truth = make_wheel_topic(trace, world, seed, make_base_clock(seed)), make_truth_topic(trace, seed)
-    return [*list_camera_topics(trace, world.settings, seed), wheels, truth]
+    wheels = make_wheel_topic(trace, world, seed, make_base_clock(seed))
+    return [*list_camera_topics(trace, world.settings, seed), wheels, make_truth_topic(trace, seed)]
 
 
 JOINT_S, PICTURE_S, TRUTH_S = 0.05, 0.1, 0.05

@@ -12,7 +12,7 @@ import cv2
 import mujoco
 import numpy as np
 
-from sim.recording.chunks import count_wanted, drive_chunk
+from sim.recording.chunks import count_wanted, drive_chunk, find_least
 from sim.recording.format import Report
 from sim.rng import stream
 from sim.robot.world import RoomWorld
@@ -78,20 +78,23 @@ class Trace(NamedTuple):
         return self.time[rows], self.state[rows]
 
 
-def trace_drive(world: TracedWorld, seed: int, progress: Report) -> tuple[Trace, np.ndarray]:
-    """Repeat the drive of the recording with the world's settings and this seed.
+def trace_drive(world: TracedWorld, seed: int, samples: int, progress: Report) -> tuple[Trace, np.ndarray]:
+    """Repeat the drive of the recording with the world's settings, this seed and so many samples.
 
     Returns also the wheel angles (r, 2) [rad] at the recording's readings.
     """
     settings, rng = world.settings, stream(seed, "drive")
-    driven, wanted = 0, 1
+    driven, wanted, least = 0, 1, 0
     chunk, steps, angle = None, list[np.ndarray](), list[np.ndarray]()
     while driven < wanted:
-        chunk = drive_chunk(world, settings, rng, chunk)
+        chunk = drive_chunk(world, settings, rng, chunk, least)
         steps.append(np.array(world.kept))
         world.kept.clear()
         angle.append(chunk["wheel_angle"])
-        driven, wanted = count_wanted(settings, chunk)
+        driven, wanted = count_wanted(settings, chunk, least)
+        if driven == wanted < samples:
+            least = find_least(driven)
+            wanted = count_wanted(settings, chunk, least)[1]
         progress("log drive", driven, wanted)
     step = np.concatenate(steps)
     return Trace(step[:, -1], step[:, :-1]), np.concatenate(angle)

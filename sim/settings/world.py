@@ -90,6 +90,9 @@ class UntilSettings(Group):
     unseen: float | None = Field(default=None, ge=0.0, le=0.5)
     """Share of the floor without an image within 0.25 m, by the robot's own map, from which the drive is done; null: it
     ends with drive.samples. It needs drive.headings map or frontier."""
+    radius_m: float | None = Field(default=None, gt=0.0, le=1.0, exclude_if=lambda radius_m: radius_m is None)
+    """Largest radius within which registration on other segments must then place 68 % of the images [m]; else the drive
+    goes on for half as many images again, and so on. It needs unseen, and methods that name registration."""
 
 
 class DriveSettings(Group):
@@ -134,6 +137,10 @@ class DriveSettings(Group):
     def _only_a_map_tells_when_it_is_done(self) -> "DriveSettings":
         if self.until.unseen is not None and self.headings not in ("map", "frontier"):
             raise ValueError(f"until.unseen needs headings map or frontier, which draw a map, not {self.headings}")
+        if self.until.radius_m is not None and self.until.unseen is None:
+            raise ValueError(
+                f"until.radius_m {self.until.radius_m:g} is asked for after until.unseen, and that is null"
+            )
         return self
 
 

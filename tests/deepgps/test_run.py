@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from deepgps.config.scenario import Scenario, write_out
-from deepgps.methods.train import ask_for_device
+from deepgps.methods.train import ask_for_device, make_judge
 from deepgps.run import run
 from deepgps.runs import collect as stages
 from deepgps.runs.owned_folder import MARK
@@ -21,10 +21,11 @@ from deepgps.runs.run_folder import RUN, claim, open_run
 from deepgps.terminal.progress import ignore
 from sim.errors import InputError
 from sim.files.checksums import read_json, write_json
-from sim.recording.format import work_folder
+from sim.recording.format import open_recording, work_folder
 from sim.settings import SimSettings
 from tests.faults.bits import damage, names
 from tests.helpers.command import deepgps_here
+from tests.helpers.recordings import small_chunks
 
 SCENARIO = Scenario(world="landmarks", methods=("knn",))
 WITHOUT_MUJOCO = "import sys; sys.modules['mujoco'] = None; from deepgps.commands.main import main; main(sys.argv[1:])"
@@ -100,6 +101,41 @@ def test_what_stands_needs_no_device(tmp_path: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr("torch.cuda.is_available", lambda: False)
     record(tmp_path)
     ask_for_device(on_device("cuda"), tmp_path)
+
+
+def until(settings: SimSettings, radius_m: float) -> Scenario:
+    drive = {"headings": "map", "samples": 300, "until": {"unseen": 0.3, "radius_m": radius_m}}
+    features = {"principal": 64, "components": 16}
+    values = {**settings.model_dump(), "drive": drive, "grid": {"spacing_m": 0.8}, "learn": {"features": features}}
+    return Scenario.model_validate({**values, "methods": ("registration",)})
+
+
+def test_a_drive_is_enough_if_registration_says_so_and_else_nothing_is_kept_of_that(
+    small_settings: SimSettings, small_recording: Path, tmp_path: Path
+):
+    recording, known = open_recording(small_recording), tmp_path / "registration" / "training.json"
+    for radius_m, enough in ((1.0, True), (1e-6, False)):
+        judge = make_judge(until(small_settings, radius_m), tmp_path)
+        assert judge is not None and judge(recording) == known.is_file() == enough
+    assert make_judge(SCENARIO, tmp_path) is None
+
+
+@pytest.mark.slow  # quick: the one before, and in test_collect
+def test_a_drive_ends_by_its_radius_if_that_is_reached_and_else_with_its_samples(
+    small_settings: SimSettings, tmp_path: Path
+):
+    found = {}
+    for radius_m in (0.06, 1e-6):
+        folder = tmp_path / str(radius_m)
+        with small_chunks(256):
+            run(until(small_settings, radius_m), folder, False, ignore, last="evaluate")
+        found[radius_m] = read_json(folder / "metrics.json")["explore"]
+        trained = read_json(folder / "registration" / "training.json")
+        assert found[radius_m]["radius_m"] == trained["left_out_m"]
+        assert not work_folder(folder / "recording").exists()
+    near, far = found.values()
+    assert (near["ended_by"], far["ended_by"], far["images"]) == ("radius_m", "samples", 300)
+    assert near["radius_m"] <= 0.06 and near["images"] < 300
 
 
 @pytest.mark.slow

@@ -1,6 +1,15 @@
 """A small room for tests: four walls and a few boxes, made by hand and compiled in milliseconds."""
 
+from collections.abc import Iterator
+
 import mujoco
+import numpy as np
+
+from sim.robot.drive import Segment, next_segment
+from sim.robot.explorer import make_planner
+from sim.robot.headings import DriveMode
+from sim.robot.motion import Robot
+from sim.settings import DriveSettings
 
 HALF_X, HALF_Y = 2.0, 1.5
 
@@ -35,3 +44,12 @@ def add_box(spec: mujoco.MjSpec, name: str, pos: tuple, half: tuple) -> None:
     spec.worldbody.add_geom(
         name=name, type=mujoco.mjtGeom.mjGEOM_BOX, pos=pos, size=half, group=3, rgba=(0.5, 0.5, 0.5, 0.0)
     )
+
+
+def drive(robot: Robot, settings: DriveSettings, rng: np.random.Generator) -> Iterator[Segment]:
+    """Drive forever, one segment after another."""
+    mode, planner = DriveMode(), make_planner(robot, settings)
+    while True:
+        segment = next_segment(robot, settings, rng, mode, planner)
+        mode = segment.mode
+        yield segment

@@ -36,6 +36,7 @@ def test_true_and_false_stay_where_they_are_meant():
     ("drive", "grid", "message"),
     [
         ({"until": {"unseen": 0.1}}, {}, "until.unseen needs headings map or frontier, which draw a map, not explore"),
+        ({"until": {"radius_m": 0.1}, "headings": "map"}, {}, "until.radius_m 0.1 is asked for after until.unseen"),
         ({"until": {"unseen": 0.1}, "headings": "map"}, {"held_out": 9}, "grid.held_out 9 follows it"),
     ],
 )

@@ -10,8 +10,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from deepgps.config.scenario import Scenario
+from deepgps.methods.train import make_judge
 from deepgps.runs.collect import make_recording
 from deepgps.runs.inputs import digest_recording
 from deepgps.studies.engine.pool import Failures, Tell, attempt, do_all
@@ -50,7 +52,9 @@ class CollectTask:
         given = self.base != self.folder and is_whole(self.base)
         shares = given and has_same_training_drive(self.base, self.scenario.sim, self.scenario.seed)
         report = self._share_out(tell, shares)
-        make_recording(self.scenario, self.folder, report, self.base if shares else None, self.renderers)
+        with TemporaryDirectory() as learned:
+            judge = make_judge(self.scenario, Path(learned))
+            make_recording(self.scenario, self.folder, report, self.base if shares else None, self.renderers, judge)
 
     def _share_out(self, tell: Tell, shares: bool) -> Report:
         """Report driving and drawing, in training and deployment, as one amount in which all stages count the same."""
@@ -125,9 +129,7 @@ def count_drives(drives: int, samples: int) -> int:
 
 
 def _choose(scenario: Scenario, samples: int) -> Scenario:
-    sim = choose_drive(scenario.sim, samples)
-    names = ("encoder", "image_faults", "deployment", "drive")
-    return scenario.model_copy(update={name: getattr(sim, name) for name in names})
+    return scenario.model_copy(update=dict(choose_drive(scenario.sim, samples)))
 
 
 def _name_drive(scenario: Scenario) -> str:
@@ -154,8 +156,7 @@ def _find_bases(scenarios: dict[str, Scenario], drives: Iterable[Scenario], home
 
 
 def _name_training_drive(scenario: Scenario) -> str:
-    sim = keep_training_settings(scenario.sim)
-    return digest_recording(scenario.model_copy(update={"deployment": sim.deployment, "grid": sim.grid}))
+    return digest_recording(scenario.model_copy(update=dict(keep_training_settings(scenario.sim))))
 
 
 def _collect_in_turn(drives: Mapping[str, CollectTask], progress: Tell) -> Failures:

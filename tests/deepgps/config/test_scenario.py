@@ -64,6 +64,10 @@ def test_numbers_that_yaml_reads_as_text_are_numbers(tmp_path):
         ("encoder: {ticks_per_rev: .nan}", "encoder.ticks_per_rev nan: must be a finite number"),
         ("methods: []", "methods: at least one method, each once"),
         ("methods: [deepgps, deepgps]", "methods: at least one method, each once"),
+        (
+            "drive: {headings: map, until: {unseen: 0.1, radius_m: 0.02}}",
+            "drive.until.radius_m 0.02 needs registration in methods",
+        ),
         ("methods: [explicit]", "methods: explicit needs distances to landmarks, which world landmarks alone gives"),
         (
             "{world: landmarks, learn: {network: {architecture: resnet}}}",

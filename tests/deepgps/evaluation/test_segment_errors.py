@@ -49,9 +49,12 @@ def test_a_robot_with_a_map_says_what_it_has_seen_and_how_well_it_knows_its_plac
     assert "explore" not in describe_drive(recording)
     settings = {"drive": {"until": {"unseen": 0.005}}}
     about = recording.manifest.model_copy(update={"unseen": [0.004, 0.001, 0.009], "settings": settings})
-    methods = {"knn": {}, "registration": {"left_out_m": 0.011}}
+    methods = {"registration_labels": {"left_out_m": 0.002}, "registration": {"left_out_m": 0.011}}
     found = describe_drive(replace(recording, manifest=about), methods)
     said = found["explore"]
     assert (said["unseen"], said["unseen_low"], said["unseen_high"]) == (0.004, 0.001, 0.009)
     assert (said["images"], said["driven_m"]) == (found["samples"], found["distance_driven_m"])
     assert (said["radius_m"], said["ended_by"]) == (0.011, "unseen")
+    for samples, ended_by in ((len(recording.observation), "samples"), (10_000, "radius_m")):
+        settings["drive"] = {"samples": samples, "until": {"unseen": 0.005, "radius_m": 0.02}}
+        assert describe_drive(replace(recording, manifest=about), methods)["explore"]["ended_by"] == ended_by

@@ -18,7 +18,15 @@ from sim.recording import chunks, renderers
 from sim.recording import collect as collecting
 from sim.recording.chunks import sense_part
 from sim.recording.collect import collect
-from sim.recording.format import check_recording, is_whole, open_recording, open_truth, read_manifest
+from sim.recording.format import (
+    Judge,
+    Recording,
+    check_recording,
+    is_whole,
+    open_recording,
+    open_truth,
+    read_manifest,
+)
 from sim.recording.renderers import Part
 from sim.robot.world import RoomWorld
 from sim.sensors.camera.faults import decode
@@ -112,10 +120,10 @@ def test_cut_off_anywhere_it_continues_to_the_same_bytes(workers, short_recordin
     folder = tmp_path / "recording"
     second_chunk = collecting.drive_chunk
 
-    def stop_at_second(world, settings, rng, before):
+    def stop_at_second(world, settings, rng, before, least):
         if before is not None:
             raise KeyboardInterrupt
-        return second_chunk(world, settings, rng, before)
+        return second_chunk(world, settings, rng, before, least)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(collecting, "drive_chunk", stop_at_second)
@@ -309,6 +317,39 @@ def test_a_drive_that_is_done_before_its_last_image_is_whole(short_settings, tmp
     collect(change(settings, drive={"samples": count, "until": {}}), 0, longer, quiet, workers=1)
     ours, theirs = read_files(done.folder), read_files(longer)
     assert ours == theirs
+
+
+def stop(*_: object) -> None:
+    raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_a_drive_goes_on_while_it_is_not_enough_to_the_same_bytes_however_it_is_cut_off(
+    workers: int, short_settings: SimSettings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    settings = change(short_settings, drive={"samples": 400, "headings": "map", "until": {"unseen": 0.5}})
+    asked: list[int] = []
+
+    def is_enough(recording: Recording) -> bool:
+        asked.append(len(recording.observation))
+        return asked[-1] > asked[0]
+
+    def make(name: str, judge: Judge = is_enough) -> dict[str, bytes]:
+        collect(settings, 0, tmp_path / name, quiet, workers, is_enough=judge)
+        return read_files(tmp_path / name)
+
+    whole, (first, last) = make("whole"), asked
+    assert 1.5 * first <= last == open_recording(tmp_path / "whole").manifest.samples < 400
+    with pytest.raises(KeyboardInterrupt):
+        make("asked", lambda recording: False if len(recording.observation) == first else stop() is None)
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(collecting, "find_least", stop)
+        make("driving")
+    if workers > 1:
+        monkeypatch.setattr(collecting, "Renderers", renderers.Renderers)
+    del asked[1:]
+    assert make("asked") == whole and asked == [first, last], "what was found too little is not asked again"
+    assert make("driving") == whole and asked[2:] == [first, last]
 
 
 @pytest.mark.slow  # quick: test_use, whose deployment drive and tests are darkened

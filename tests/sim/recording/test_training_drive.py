@@ -98,7 +98,7 @@ def test_cut_off_it_continues_to_the_same_bytes(plain, base, tmp_path, monkeypat
     settings = change(plain, deployment={"light": 0.3})
     collect(settings, 0, tmp_path / "alone", quiet, workers=1)
     with monkeypatch.context() as patch:
-        patch.setattr(collecting, "finish_recording", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        patch.setattr(collecting, "add_checksums", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
         with pytest.raises(KeyboardInterrupt):
             collect(settings, 0, tmp_path / "shared", quiet, workers=1, base=base)
     collect(settings, 0, tmp_path / "shared", quiet, workers=1, base=base)

@@ -8,7 +8,7 @@ import pytest
 
 from deepgps.evaluation.measures import find_seen
 from sim.errors import WorkError
-from sim.robot.drive import TOUCH_ENDINGS, UNCERTAIN_DISTANCE_M, Segment, _go_straight, drive
+from sim.robot.drive import TOUCH_ENDINGS, UNCERTAIN_DISTANCE_M, Segment, _go_straight
 from sim.robot.drive import next_segment as drive_segment
 from sim.robot.headings import STOP_DISTANCE_M, Course, DriveMode, Visits
 from sim.robot.model import BURGER, CONTROL_PERIOD_S, RADIUS_M, TRACK_M, WHEEL_RADIUS_M
@@ -17,7 +17,7 @@ from sim.robot.range_finder import ANGLE
 from sim.robot.world import RoomWorld
 from sim.rooms.spec import empty_room
 from sim.settings import DriveSettings, RoomSettings, SimSettings
-from tests.helpers.small_room import HALF_X, HALF_Y, add_box, furnished, walls
+from tests.helpers.small_room import HALF_X, HALF_Y, add_box, drive, furnished, walls
 
 SEED = 5
 

@@ -11,14 +11,14 @@ from deepgps.evaluation.measures import find_seen
 from sim.files.checksums import read_arrays, write_arrays
 from sim.recording import chunks
 from sim.rng import stream
-from sim.robot.drive import DriveMode, drive, next_segment
+from sim.robot.drive import DriveMode, next_segment
 from sim.robot.explorer import AIMS, MOST_AIMS, Explorer, make_planner
 from sim.robot.grid_map import CELL_M, CELLS, CONTACT, FLOOR_CELL_M, GridMap, find, scan
 from sim.robot.scan_match import match
 from sim.robot.world import RoomWorld
 from sim.settings import DriveSettings, SimSettings
 from tests.helpers.exact_robot import ExactRobot
-from tests.helpers.small_room import HALF_X, HALF_Y, add_box, furnished, walls
+from tests.helpers.small_room import HALF_X, HALF_Y, add_box, drive, furnished, walls
 
 START = np.array((0.3, -0.6, 0.7))
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sim.geometry import planar_pose
-from sim.recording.chunks import drive_chunk
+from sim.recording.chunks import drive_chunk, find_least
 from sim.recording.turns import KINDS
 from sim.rng import stream
 from sim.robot.model import TRACK_M, WHEEL_RADIUS_M
@@ -30,9 +30,9 @@ ARCS = SimSettings(drive=DriveSettings(samples=300, arcs=0.5))
 BASE = make_base_clock(0)
 
 
-def trace(settings: SimSettings) -> tuple[TracedWorld, Trace, np.ndarray]:
+def trace(settings: SimSettings, samples: int = 0) -> tuple[TracedWorld, Trace, np.ndarray]:
     world = TracedWorld(settings, furnished())
-    return world, *trace_drive(world, 0, lambda *_: None)
+    return world, *trace_drive(world, 0, samples, lambda *_: None)
 
 
 @pytest.fixture(scope="module")
@@ -58,9 +58,13 @@ def test_a_drive_that_is_done_early_is_traced_to_its_end():
     until = {"headings": "map", "samples": 5000, "until": {"unseen": 0.5}}
     settings = SimSettings.model_validate({"drive": until})
     _, found, wheel_angle = trace(settings)
-    chunk = drive_chunk(RoomWorld(settings, furnished()), settings, stream(0, "drive"), None)
+    world, rng = RoomWorld(settings, furnished()), stream(0, "drive")
+    chunk = drive_chunk(world, settings, rng, None)
     assert chunk["unseen"][0] <= 0.5 and len(found.time) > len(wheel_angle)
     np.testing.assert_array_equal(wheel_angle, chunk["wheel_angle"])
+    more = drive_chunk(world, settings, rng, chunk, find_least(int(chunk["observations"])))
+    _, _, further = trace(settings, int(more["observations"]))
+    np.testing.assert_array_equal(further, np.concatenate([wheel_angle, more["wheel_angle"]]))
 
 
 @pytest.mark.parametrize("clock", [RECORDER, BASE])

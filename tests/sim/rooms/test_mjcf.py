@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 
 from sim.errors import InputError
 from sim.robot.chassis import AMBIENT_LIGHT, LAMPLESS_AMBIENT_LIGHT, compile_scene
-from sim.robot.drive import drive
 from sim.robot.model import RADIUS_M, wheel_speeds
 from sim.robot.world import RoomWorld
 from sim.rooms.free_space import find_free_space
 from sim.rooms.mjcf import list_notes, load_room
 from sim.rooms.mjcf_files import list_files, try_out
 from sim.settings import DriveSettings, SimSettings
+from tests.helpers.small_room import drive
 
 WALLS = """
 <geom type="box" size="0.1 2 1" pos="2.1 0 1"/><geom type="box" size="0.1 2 1" pos="-2.1 0 1"/>
