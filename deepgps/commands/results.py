@@ -158,15 +158,16 @@ class RunsArguments:
 
 
 def runs_command(words: Sequence[str]) -> None:
-    """List runs: what each changes in its scenario, its errors, and its age."""
+    """List runs: what each changes in its scenario, its errors, its age, and the disk that all hold."""
     arguments = parse(RunsArguments, "runs", words, runs_command.__doc__)
-    from deepgps.runs.run_table import tabulate_runs
+    from deepgps.runs.run_table import measure_disk, tabulate_runs
     from deepgps.runs.shared_drive import STORE, empty_store, measure_store
     from sim.files.atomic import write_size
 
     if arguments.empty_drives:
         return empty_store(arguments.folder)
     print(tabulate_runs(arguments.folder))
+    print(f"{write_size(measure_disk(arguments.folder))} in all; to empty it, remove the folder of any run or study")
     if size := measure_store(arguments.folder):
-        print(f"{write_size(size)} in {arguments.folder / STORE}: drives that later runs share, as these runs do")
-        print("deepgps runs --empty-drives removes them; the runs keep theirs")
+        print(f"{write_size(size)} of it in {arguments.folder / STORE}, which later runs share, as these runs do:")
+        print("deepgps runs --empty-drives removes what no run keeps")

@@ -46,6 +46,11 @@ class Method:
     reads_turns: bool = False
     predict: Callable[[Mapping[str, np.ndarray], np.ndarray], np.ndarray] | None = None
 
+    @property
+    def is_baseline(self) -> bool:
+        """Whether it is there to be compared with: it is given positions, or is of older work."""
+        return self.map not in {"compass", "distances", "own"} or self.estimator in {"linear", "trilateration"}
+
 
 METHODS: dict[str, Method] = {
     "registration": Method(
