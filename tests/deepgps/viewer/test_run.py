@@ -23,15 +23,15 @@ from deepgps.viewer.drive import ROBOT
 from deepgps.viewer.error_field import COVERAGE, DENSITY, ELLIPSE_SCALE, ELLIPSES, MAX_RADIUS_M, SIGMA
 from deepgps.viewer.pictures import choose_views, write_pictures
 from deepgps.viewer.places import PICTURES, Place, find_places, turn_picture
-from deepgps.viewer.read import read_entity, read_error_field, read_error_table
+from deepgps.viewer.read import read_entity, read_error_table
 from deepgps.viewer.run import find_recording, write_run
 from deepgps.viewer.show import view
-from deepgps.viewer.stream import DRIVE_TIME, PLACE, PROGRESS, PROGRESS_END_S, STEP
+from deepgps.viewer.stream import DRIVE_TIME, PLACE, STEP
 from sim.errors import InputError, WorkError
 from sim.recording.format import finish_recording, open_recording, read_manifest
 from sim.sensors.camera.lens import make_lens, project_polar
 from sim.settings import CameraSettings
-from tests.helpers.blueprints import call_rerun, count_rows, find_missing, read_layout
+from tests.helpers.blueprints import call_rerun, count_rows, find_missing, read_error_field, read_layout
 from tests.helpers.synthetic_run import METHODS, REFUSING, write_synthetic_run
 
 SAMPLES = 60
@@ -106,7 +106,6 @@ def test_what_is_not_there_is_one_line_with_what_is(run: Path) -> None:
     for read, wrong, message in (
         (read_error_table, "a", "no error field below 'a'"),
         (read_entity, "drive/tick", r"'drive/tick'.* has .*drive/ticks/left"),
-        (read_error_field, "gps", r"'gps'.* has dead_reckoned_labels, deepgps, knn, posenet"),
     ):
         with pytest.raises(InputError, match=message):
             read(run / VIEWED, wrong)
@@ -228,7 +227,7 @@ def test_density_counts_every_image_and_lies_with_coverage_between_floor_plan_an
 
 def test_both_timelines_of_places_end_with_the_worst_of_the_first_method(run: Path) -> None:
     places = read_places(run)
-    for timeline in (PLACE, PROGRESS):
+    for timeline in (PLACE, DRIVE_TIME):
         rows = read_along(run, "place/text", timeline)
         texts = ["".join(text) for text in rows["TextDocument:text"].to_pylist()][::-1]
         for place, text in zip(places, texts, strict=True):
@@ -313,7 +312,7 @@ def test_the_recording_is_whole_without_wall_clock(run: Path) -> None:
     path = run / VIEWED
     call_rerun("verify", path)
     names = {name for chunk in RrdReader(path).stream() for name in chunk.timeline_names}
-    assert names == {DRIVE_TIME, STEP, PLACE, PROGRESS}
+    assert names == {DRIVE_TIME, STEP, PLACE}
     assert find_missing(path) == []
 
 
@@ -330,16 +329,16 @@ def test_the_robot_is_as_large_as_it_is_and_not_as_odometry_has_it(run: Path, ch
     np.testing.assert_allclose(*radii)  # pyright: ignore
 
 
-def test_the_last_minutes_are_as_long_on_the_timeline_of_all(changed: Path) -> None:
-    drive_s = np.ptp(np.load(changed / "recording" / "time.npy"))
-    assert drive_s > 3600
-    starts = set()
-    for _, ranges in read_layout(changed / VIEWED, "VisibleTimeRanges:ranges"):
-        begins = {one["timeline"]: one["range"]["start"] for one in ranges}
-        if begins[DRIVE_TIME] is not None:
-            starts.add(begins[DRIVE_TIME] / 1e9)
-            assert begins[PROGRESS] / 1e9 / PROGRESS_END_S * drive_s == pytest.approx(begins[DRIVE_TIME] / 1e9, abs=2)
-    assert starts == {-60, -120}
+def test_the_slider_has_the_seconds_of_the_drive_and_is_played_in_a_hundred(changed: Path) -> None:
+    time_s = np.load(changed / "recording" / "time.npy")
+    at = read_along(changed, f"{ROBOT}", DRIVE_TIME)[DRIVE_TIME].to_numpy().astype(float) / 1e9
+    assert (at[0], at[-1]) == pytest.approx((time_s[0], time_s[-1]), abs=1.0) and np.ptp(time_s) > 3600
+    steps = read_along(changed, "training/deepgps/loss", DRIVE_TIME)[DRIVE_TIME].to_numpy().astype(float) / 1e9
+    assert steps[-1] == pytest.approx(time_s[-1], abs=1.0)
+    ((_, (speed,)),) = read_layout(changed / VIEWED, "TimePanelBlueprint:playback_speed")
+    assert np.ptp(time_s) / speed == pytest.approx(100.0)
+    ranges = [one["range"] for _, some in read_layout(changed / VIEWED, "VisibleTimeRanges:ranges") for one in some]
+    assert {one["start"] / 1e9 for one in ranges if one["start"] is not None} == {-60, -120}
 
 
 def test_a_missing_or_damaged_recording_is_made_again_the_same(

@@ -15,7 +15,7 @@ from deepgps.studies.reports.pictures import draw_fields
 from deepgps.studies.reports.record import Fields
 from deepgps.studies.study import load_study
 from deepgps.terminal.progress import ignore
-from deepgps.viewer.read import open_rrd, read_error_field
+from deepgps.viewer.read import open_rrd
 from sim.errors import InputError
 from sim.files.checksums import read_json
 
@@ -24,7 +24,8 @@ LANDMARKS = ("landmarks.count=40", "landmarks.segments=25", "landmarks.reach_m=1
 EXPLICIT = ("grid.spacing_m=0.25", "learn.explicit.readings=200", "learn.explicit.evaluations=20")
 LIDAR = ("lidar.rays=32", "lidar.headings=2", "drive.samples=400", "grid.spacing_m=0.25", "grid.headings=2")
 FEATURES = ("learn.features.rings=4", "learn.features.principal=32", "learn.features.components=16")
-PCA = ("learn.pca.headings=5",)
+PCA = ("learn.pca.headings=5",)from tests.helpers.blueprints import read_error_field
+
 
 
 def make_small(world: str, methods: list[str], folder: Path, *settings: str) -> Path:
