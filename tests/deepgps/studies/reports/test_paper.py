@@ -18,14 +18,14 @@ from deepgps.terminal.progress import ignore
 from deepgps.viewer.read import open_rrd
 from sim.errors import InputError
 from sim.files.checksums import read_json
+from tests.helpers.blueprints import read_error_field
 
 SHORT_TRAINING = ("learn.train.steps=20", "learn.train.segments=4", "learn.network.width=16", "learn.fold.restarts=0")
 LANDMARKS = ("landmarks.count=40", "landmarks.segments=25", "landmarks.reach_m=1.2", "drive.spacing_m=0.05")
 EXPLICIT = ("grid.spacing_m=0.25", "learn.explicit.readings=200", "learn.explicit.evaluations=20")
 LIDAR = ("lidar.rays=32", "lidar.headings=2", "drive.samples=400", "grid.spacing_m=0.25", "grid.headings=2")
 FEATURES = ("learn.features.rings=4", "learn.features.principal=32", "learn.features.components=16")
-PCA = ("learn.pca.headings=5",)from tests.helpers.blueprints import read_error_field
-
+PCA = ("learn.pca.headings=5",)
 
 
 def make_small(world: str, methods: list[str], folder: Path, *settings: str) -> Path:
