@@ -46,12 +46,11 @@ def log_drive(stream: rr.RecordingStream, recording: Recording, truth: Truth, la
     log_robot(stream, find_track_m(recording), camera_of(recording).height_m)
     log_poses(stream, truth.pose[seen], drive_clock(recording.time[first]))
     log_path(stream, "world/drive", segment, truth.pose[observation, :2], (TRUE_COLOUR, LEG_COLOUR), recording.time)
-    encoder, true, difference = measure_distances(recording, truth.pose)
+    encoder, true = measure_distances(recording, truth.pose)
     for path, values, label, colour in (
         ("distance/encoder", encoder, "by encoder", ODOMETRY_COLOUR),
         ("distance/truth", true, "true", TRUE_COLOUR),
         ("segment_error", 1000 * (encoder - true), "encoder minus truth", WRONG_COLOUR),
-        ("difference", 1000 * difference, "encoder minus truth, cumulative", WRONG_COLOUR),
     ):
         send_series(stream, f"drive/{path}", drive_clock(recording.time), values, label, colour)
     log_ticks(stream, recording)

@@ -56,11 +56,7 @@ def make_blueprint(
     by place are shown; and the one whose errors along the deployment drive are, with titles of its ways by name.
     """
     errors = rrb.Horizontal(series_view(*SEGMENT_ERROR), series_view(*TICKS))
-    beside = rrb.Vertical(
-        rrb.Spatial2DView(name="Distribution of errors", origin=DISTRIBUTION),
-        text_view("The place at the slider", "place/text"),
-        row_shares=[3, 2],
-    )
+    beside = rrb.Spatial2DView(name="Distribution of errors", origin=DISTRIBUTION)
     return arrange(
         [
             _error_fields(space, layers, ["place/test/**"]),
@@ -322,19 +318,14 @@ def _drive(space: FreeSpace | None, pictures: Mapping[str, str], below: Part, ti
 
 
 def _making(space: FreeSpace, method: str) -> Part:
-    """How the initial map is made, and the errors that it expects beside those of the trained method."""
     title = "The initial map in the making: choose the timeline `making`"
     making = room_view(
         title, ["outline", f"{MAP_ENTITY.removeprefix('world/')}/**"], aim_eye(space, before=0.0, aspect=1.05)
     )
-    fields = [
-        room_view(name, ["floor_plan", "scale/**", f"error_field/{method}/{shown}"], aim_eye(space))
-        for name, shown in (
-            ("Error that the initial map expects of itself", "expected"),
-            (f"Error field of {title_of(method)}", "worst/**"),
-        )
-    ]
-    beside = rrb.Vertical(text_view("This stage", TEXT_ENTITY), *fields, row_shares=[4, 4, 4])
+    field = ["floor_plan", "scale/**", f"error_field/{method}/worst/**"]
+    beside = rrb.Vertical(
+        text_view("This stage", TEXT_ENTITY), room_view(f"Error field of {title_of(method)}", field, aim_eye(space))
+    )
     return rrb.Horizontal(making, beside, column_shares=[5, 3], name="Initial map")
 
 
@@ -351,10 +342,7 @@ def _encoders(space: FreeSpace) -> Part:
     difference = series_view("Ticks per gap, right minus left", "drive/tick_difference", TICK_WINDOW_S)
     series = rrb.Vertical(
         rrb.Horizontal(series_view(*SEGMENT_ERROR), series_view(*TICKS), difference),
-        rrb.Horizontal(
-            series_view("Its sum over all segments [mm]", "drive/difference"),
-            series_view("Dead-reckoning drift [m]", "encoders/drift"),
-        ),
+        series_view("Dead-reckoning drift [m]", "encoders/drift"),
         rrb.Spatial2DView(name="Each segment", origin="encoders/segments"),
         row_shares=[4, 4, 6],
     )

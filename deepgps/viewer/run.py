@@ -60,9 +60,8 @@ SLIDER_HINT = (
 )
 LAYERS = (
     "The panel on the left (button at the top right) switches on and off: each heading, errors above and below 10 cm, "
-    "refused ones, circles of the radii, radii by place and ellipses (as in the tab Trust), predicted yaws (arrows of "
-    "7 cm; those off by more than 5 degrees in magenta), errors that the initial map expects, floor not covered by "
-    "images, images per cell of 0.25 m."
+    "refused ones, radii by place and ellipses (as in the tab Trust), predicted yaws (arrows of 7 cm; magenta if off "
+    "by more than 5 degrees), floor not covered by images, images per cell of 0.25 m."
 )
 WITHOUT_TRUTH_NOTE = (
     "This recording has no ground truth, so there is no error field. *Drive* plays the sensor data and the "

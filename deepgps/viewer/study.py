@@ -168,7 +168,6 @@ def _make_blueprint(slider: Slider, methods: Sequence[str], figures: Sequence[st
     texts = rrb.Vertical(_here(), text_view("Sliders", "report/sliders"))
     tabs = {
         "Error fields": (shown, texts),
-        "Curves": (rrb.Vertical(*_plots()), _here()),
         **({"Figures": (rrb.Tabs(*pictures), _here())} if figures else {}),
         "Report": (text_view("Table", "report/table"), _here()),
     }
