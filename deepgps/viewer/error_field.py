@@ -223,8 +223,5 @@ def _tile_places(places: np.ndarray, colours: np.ndarray) -> rr.Boxes3D:
 def _make_tiles(middle: np.ndarray, size_m: float, height_m: float, colours: np.ndarray) -> rr.Boxes3D:
     """Flat squares around points (n, 2) [m], high enough above the floor plan for the viewer to draw them over it."""
     return rr.Boxes3D(
-        centers=lift(middle, height_m),
-        half_sizes=[(size_m / 2, size_m / 2, 0.0005)],
-        colors=colours,
-        fill_mode="solid",
+        centers=lift(middle, height_m), half_sizes=[(size_m / 2, size_m / 2, 0.0005)], colors=colours, fill_mode="solid"
     )

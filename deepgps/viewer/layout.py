@@ -56,7 +56,6 @@ def make_blueprint(
     by place are shown; and the one whose errors along the deployment drive are, with titles of its ways by name.
     """
     errors = rrb.Horizontal(series_view(*SEGMENT_ERROR), series_view(*TICKS))
-    beside = rrb.Spatial2DView(name="Distribution of errors", origin=DISTRIBUTION)
     return arrange(
         [
             _error_fields(space, layers, ["place/test/**"]),
@@ -67,7 +66,7 @@ def make_blueprint(
             *([_making(space, mapped)] if mapped else []),
             *([_training(space, trained, [_loss_view(name) for name in trained])] if trained else []),
             _encoders(space),
-            rrb.Horizontal(text_view("Report", "report/text"), beside, name="Report"),
+            rrb.Horizontal(text_view("Report", "report/text"), errors_view(), name="Report"),
         ],
         play(DRIVE_TIME, (span[1] - span[0]) / PLAYED_S),
     )
@@ -155,6 +154,11 @@ def room_view(
         background=DARK,
         overrides={f"{root}/{name}": STILL_BEHAVIOUR for name in BACKDROP} | dict(overrides or {}),
     )
+
+
+def errors_view() -> rrb.Spatial2DView:
+    """A view of the distribution of errors."""
+    return rrb.Spatial2DView(name="Distribution of errors", origin=DISTRIBUTION)
 
 
 def text_view(name: str, origin: str) -> rrb.TextDocumentView:
@@ -256,14 +260,7 @@ def _error_fields(space: FreeSpace, layers: Layers, places: Sequence[str] = ()) 
 
 def _places(space: FreeSpace, pictures: bool) -> Part:
     """One image at a time, beside training images, its place and its modes on the floor plan, and its numbers."""
-    shown = [
-        "radius",
-        "error",
-        "test",
-        "near",
-        "modes/**",
-        *(f"{name}/**" for name in TRAINING_IMAGES),
-    ]  # without the label
+    shown = ["radius", "error", "test", "near", "modes/**", *(f"{name}/**" for name in TRAINING_IMAGES)]  # no label
     floor = room_view(
         "The place, and others that explain the image",
         ["floor_plan", "outline", *(f"place/{one}" for one in shown)],

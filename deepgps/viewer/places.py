@@ -200,12 +200,8 @@ def log_places(stream: rr.RecordingStream, places: Sequence[Place], recording: R
     predicted = np.array([place.field.predicted[place.at] for place in places])
     away, closest = tree.query(pose[:, :2])
     around = find_nearest(tree, predicted, NEIGHBOURS)[1]
-    near = np.array(
-        [
-            one if place.look is None or place.look.near is None else place.look.near
-            for place, one in zip(places, around, strict=True)
-        ]
-    )
+    compared = [None if place.look is None else place.look.near for place in places]
+    near = np.array([other if one is None else one for one, other in zip(compared, around, strict=True)])
     shown = np.column_stack([near[:, :ANSWER_IMAGES], closest])  # Numbers of training images
     at, taken = place_rows(len(places), find_span(recording)), truth.pose[shown]
     send_shapes(stream, "world/place", at, _draw(places, pose, predicted, taken))
