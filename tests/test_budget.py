@@ -5,7 +5,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "lines of sim and deepgps": 43_902,
+    "lines of sim and deepgps": 43_906,
     "files of sim and deepgps": 305,
     "lines of tests": 29_869,
     "Python files directly in deepgps": 2,

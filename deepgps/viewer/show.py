@@ -17,18 +17,17 @@ from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 from rerun.experimental import ViewerClient
 
-from deepgps.runs.run_folder import is_study
+from deepgps.runs.run_folder import VIEWED, is_study
 from deepgps.viewer.connect import HOST, find_free_port, has_display, send_file, start_viewer, url_of, wait_for_port
-from deepgps.viewer.pair import write_pair
-from deepgps.viewer.run import find_recording
-from deepgps.viewer.study import find_study
+from deepgps.viewer.read import open_rrd
 from sim.errors import InputError, WorkError
 from sim.files.atomic import write_bytes
+from sim.files.checksums import is_intact
 
 SIZE_PX = "1600x1000"
 MARK = ("Software", "deepgps view --screenshot")
 DRIVER_HINT = "--screenshot needs a Vulkan driver, such as Mesa's: apt-get install mesa-vulkan-drivers"
-PATIENCE_S, POLL_S, SETTLED_S = 600.0, 0.5, 2.0  # How long a picture must stay as it is [s]
+PATIENCE_S, POLL_S, STILLNESS_S = 600.0, 0.5, 2.0  # How long a picture must stay as it is [s]
 
 
 def view(paths: Sequence[Path]) -> None:
@@ -92,6 +91,14 @@ def find_shown(paths: Sequence[Path]) -> Path:
 
     Raises InputError if a folder is no run and no finished study, its recording is truncated, or two do not compare.
     """
+    if len(paths) == 1 and not is_study(paths[0]) and is_intact(path := paths[0] / VIEWED):
+        open_rrd(path)
+        return path
+    # These import torch and matplotlib, which takes longer than the viewer needs to open.
+    from deepgps.viewer.pair import write_pair
+    from deepgps.viewer.run import find_recording
+    from deepgps.viewer.study import find_study
+
     if len(paths) != 1:
         return write_pair(paths)
     return find_study(paths[0]) if is_study(paths[0]) else find_recording(paths[0])
@@ -148,7 +155,7 @@ def _take_when_drawn(viewer: Popen, url: str, tab: str | None, path: Path) -> Im
             picture = Image.open(path).convert("RGB")
             if picture.tobytes() != before:
                 before, since = picture.tobytes(), time.monotonic()
-            elif chosen and time.monotonic() - since > SETTLED_S:
+            elif chosen and time.monotonic() - since > STILLNESS_S:
                 return picture
         if time.monotonic() > end + PATIENCE_S:
             raise WorkError(f"the Rerun viewer did not finish drawing within {PATIENCE_S:.0f} s")
