@@ -33,7 +33,7 @@ TICKS = ("Ticks per gap: left blue, right wide, green", "drive/ticks", TICK_WIND
 SEGMENT_ERROR = ("Encoder minus truth [mm]", "drive/segment_error", TICK_WINDOW_S)
 WHEELS = ("Diagnosis of the wheels", DIAGNOSIS)
 LOGARITHM = "0 is 1 cm, 1 is 10 cm, 2 is 1 m"  # What the values of a plot of errors mean
-BACKGROUND = (13, 13, 13)
+NIGHT = (13, 13, 13)  # Colour behind plans and rooms, in any theme
 METRES = rrb.LineGrid3D(spacing=1.0, plane=rr.components.Plane3D.XY.with_distance(LAYER_M), color=(255, 255, 255, 25))
 STEPS, FIGURES = "steps", "report/figures"
 Layers = Mapping[str, Sequence[str]]  # Layers of a method's error field that are hidden at first, by method
@@ -94,7 +94,7 @@ def make_blueprint_without_truth(
 ) -> rrb.Blueprint:
     """The viewer's layout for a run without truth: its dead-reckoned path (R, 2) and its methods' maps (n, 2) [m]."""
     path = rrb.Spatial3DView(
-        background=BACKGROUND,
+        background=NIGHT,
         name="Dead-reckoned path",
         origin="world",
         eye_controls=_aim_at(reckoned),
@@ -108,14 +108,10 @@ def make_blueprint_without_truth(
     )
     tabs: list[Part] = [rrb.Horizontal(path, beside, name="Drive", column_shares=[3, 2])]
     if last:
+        eyes = {name: _aim_at(points, len(last)) for name, points in last.items()}
         maps = [
-            rrb.Spatial3DView(
-                background=BACKGROUND,
-                name=title_of(name),
-                origin=f"map/{name}",
-                eye_controls=_aim_at(points, len(last)),
-            )
-            for name, points in last.items()
+            rrb.Spatial3DView(name=title_of(name), origin=f"map/{name}", background=NIGHT, eye_controls=eye)
+            for name, eye in eyes.items()
         ]
         losses = [_loss_view(name) for name in last]
         tabs.append(rrb.Vertical(rrb.Horizontal(*maps), rrb.Horizontal(*losses), name="Training", row_shares=[3, 1]))
@@ -154,7 +150,7 @@ def room_view(
         contents=[f"{root}/{one}" for one in contents],
         eye_controls=eye,
         line_grid=line_grid or ("room" not in contents and METRES),
-        background=BACKGROUND,
+        background=NIGHT,
         overrides={f"{root}/{name}": STILL_BEHAVIOUR for name in BACKDROP} | dict(overrides or {}),
     )
 

@@ -26,7 +26,7 @@ from deepgps.studies.catalog import REPORTS
 from deepgps.studies.study import Study
 from deepgps.studies.table import Row, find_methods, read_rows, read_setting, split_by, varied_in
 from deepgps.viewer.error_field import NO_PLACES, log_field
-from deepgps.viewer.layout import BACKGROUND, LOGARITHM, arrange, look, series_view, text_view
+from deepgps.viewer.layout import LOGARITHM, NIGHT, arrange, look, series_view, text_view
 from deepgps.viewer.read import open_rrd
 from deepgps.viewer.scene import STILL_BEHAVIOUR, lift, log_floor, log_scale
 from deepgps.viewer.sliders import RUN, Slider, Step, find_sliders
@@ -200,7 +200,7 @@ def _field_views(methods: Sequence[str], frame: Frame) -> list[rrb.Spatial3DView
             ],
             eye_controls=look((0.0, 0.0, distance), (0.0, 0.0, 0.0)),
             line_grid=False,
-            background=BACKGROUND,
+            background=NIGHT,
             overrides=dict.fromkeys(backdrop, STILL_BEHAVIOUR),
         )
         for method in methods
