@@ -34,7 +34,7 @@ def test_the_project_stays_light():
     pages = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "runs/README.md")]
     pages += [*docs.glob("*.md"), *(docs / "how-to").glob("*.md")]
     found = {
-        "lines of sim and deepgps": 43_902count_lines(product),
+        "lines of sim and deepgps": count_lines(product),
         "files of sim and deepgps": len(product),
         "lines of tests": count_lines(list((ROOT / "tests").rglob("*.py"))),
         "Python files directly in deepgps": len(list((ROOT / "deepgps").glob("*.py"))),
