@@ -18,12 +18,7 @@ Stage = Literal["collect", "train", "evaluate", "show"]
 
 
 def run(
-    scenario: Scenario,
-    folder: Path,
-    fresh: bool,
-    progress: Report,
-    recording: Path | None = None,
-    last: Stage = "show",
+    scenario: Scenario, folder: Path, fresh: bool, progress: Report, recording: Path | None = None, last: Stage = "show"
 ) -> dict[str, Any] | None:
     """Run the stages of a scenario in a folder up to the last one, on a recording that exists already or on a drive.
 

@@ -48,6 +48,10 @@ html_show_sphinx = False
 html_copy_source = False
 
 
+TABLES = "\n```{toctree}\n:hidden:\n:glob:\n\nresults/*/table\n```\n"
+"""The pages below that of all tables, of which a reader in the repository sees links."""
+
+
 def setup(app: Sphinx) -> None:
     """Add figures to results, and leave out what Python itself says of a tuple's fields."""
     app.connect("autodoc-skip-member", lambda *details: "Alias for field number" in str(details[3].__doc__) or None)
@@ -56,8 +60,8 @@ def setup(app: Sphinx) -> None:
 
 
 def _complete(text: str, page: str) -> str:
-    """A page's text with a study's figures; "RMS / median / max" stays on one line."""
-    text += show_figures(page) if page.startswith("results/") else ""
+    """A page's text with a study's figures, or the pages below it; "RMS / median / max" stays on one line."""
+    text += show_figures(page) if page.startswith("results/") else TABLES if page == "tables" else ""
     return re.sub(r"(?<=\d) / (?=\d)", "\u00a0/\u00a0", text)
 
 

@@ -1,8 +1,10 @@
 """The parts of the documentation that come from the code: ``python -m docs.generate`` writes them into its pages.
 
-Such a part stands in ``docs/reference/`` between two comments, ``<!-- generated: settings -->`` and ``<!-- end -->``.
+Such a part stands between two comments, ``<!-- generated: settings -->`` and ``<!-- end -->``, so that a page reads in
+the repository as on the site.
 """
 
+import ast
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -33,7 +35,10 @@ from docs.read_code import list_entries
 from sim.settings import Group
 
 ROOT = Path(__file__).parents[1]
-REFERENCE = sorted((ROOT / "docs" / "reference").glob("*.md"))
+DOCS = ROOT / "docs"
+MARK = "<!-- generated: "
+GENERATED = [page for page in sorted([*DOCS.glob("*.md"), *DOCS.glob("*/*.md")]) if MARK in page.read_text("utf-8")]
+"""Pages with such parts."""
 Schema = Mapping[str, Any]
 NAMES = {"methods": METHODS, "report": REPORTS}
 """Names that a setting allows, where the JSON schema of the settings does not tell them."""
@@ -60,6 +65,8 @@ def fill_in(text: str) -> str:
         "commands": describe_commands,
         "api": describe_api,
         "keys": describe_keys,
+        "code": show_code,
+        "tables": list_tables,
     }
     return re.sub(
         r"^(<!-- generated: (\w+)([^\n]*?) -->\n).*?(?=<!-- end -->)",
@@ -76,12 +83,12 @@ def show_figures(page: str) -> str:
 
 
 def describe_methods() -> str:
-    """Every method: the map that it learns, and how it finds an image's place on it."""
-    rows = [
-        (f"`{name}`", one.title, one.map, one.estimator, f"`{one.observes}`" if one.observes else "any")
-        for name, one in METHODS.items()
-    ]
-    return _table(("method", "title", "map by", "estimator", "observations"), rows)
+    """Tables of the methods, and of the baselines that they are compared with."""
+    heads, rows = ("method", "title", "map by", "estimator", "observations"), {True: [], False: []}
+    for name, one in METHODS.items():
+        seen = f"`{one.observes}`" if one.observes else "any"
+        rows[one.is_baseline].append((f"`{name}`", one.title, one.map, one.estimator, seen))
+    return f"{_table(heads, rows[False])}\n\nBaselines:\n\n{_table(heads, rows[True])}"
 
 
 def describe_settings() -> str:
@@ -122,6 +129,23 @@ def describe_keys(*names: str) -> str:
         for key, said in list_entries(definition):
             rows.setdefault(said, []).append(f"`{prefix}{key}`")
     return _table(("key", "what"), [(", ".join(keys), _markdown(said)) for said, keys in rows.items()])
+
+
+def show_code(file: str, name: str = "") -> str:
+    """A file of ``docs/examples``, or one of its functions."""
+    path = DOCS / "examples" / file
+    text = path.read_text(encoding="utf-8").rstrip()
+    if name:
+        node = next(one for one in ast.parse(text).body if getattr(one, "name", None) == name)
+        text = str(ast.get_source_segment(text, node))
+    return _code(text, {".py": "python"}.get(path.suffix, path.suffix[1:]))
+
+
+def list_tables() -> str:
+    """Links to the tables of all published studies."""
+    return "\n".join(
+        f"- [{one.parent.name}]({one.relative_to(DOCS)})" for one in sorted(DOCS.glob("results/*/table.md"))
+    )
 
 
 def list_groups(group: type[Group], name: str = "") -> Iterator[tuple[str, type[Group]]]:
@@ -240,5 +264,5 @@ def _code(text: str, language: str = "text") -> str:
 
 
 if __name__ == "__main__":
-    for page in REFERENCE:
+    for page in GENERATED:
         page.write_text(fill_in(page.read_text(encoding="utf-8")), encoding="utf-8")

@@ -5,12 +5,12 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "lines of sim and deepgps": 43_854,
+    "lines of sim and deepgps": 43_912,
     "files of sim and deepgps": 304,
-    "lines of tests": 30_142,
+    "lines of tests": 30_199,
     "Python files directly in deepgps": 2,
     "words of decisions": 6_842,
-    "words of all other pages by hand": 21_683,
+    "words of all other pages by hand": 21_668,
     "words of the reference that the code does not say": 3_522,
     "words of published results": 8_000,
 }

@@ -253,12 +253,7 @@ def _describe(
 
 
 def _take_truth(
-    pose: Any,
-    test_pose: Any,
-    space: FreeSpace | None,
-    reading: np.ndarray,
-    observation: np.ndarray,
-    test: np.ndarray,
+    pose: Any, test_pose: Any, space: FreeSpace | None, reading: np.ndarray, observation: np.ndarray, test: np.ndarray
 ) -> Truth | None:
     if pose is None:
         if test_pose is not None or space is not None:

@@ -26,7 +26,9 @@ class ViewArguments:
     plugin: Plugins = ()
     """Files of plugins, whose methods then have their titles and colours."""
     screenshot: Path | None = None
-    """Write a picture of the first tab as PNG instead of opening a window; needs a Vulkan driver, but no display."""
+    """Write a picture of a tab as PNG instead of opening a window; needs a Vulkan driver, but no display."""
+    tab: str | None = None
+    """The tab of which --screenshot writes a picture, by its name; none: the first."""
 
 
 def view_command(words: Sequence[str]) -> None:
@@ -37,6 +39,8 @@ def view_command(words: Sequence[str]) -> None:
     folders = arguments.runs
     if len(folders) not in {1, 2}:
         raise InputError(f"deepgps view takes one folder, or two to compare, not {len(folders)}")
+    if arguments.tab is not None and arguments.screenshot is None:
+        raise InputError("--tab needs --screenshot")
     if arguments.port is not None and not arguments.web:
         raise InputError("--port needs --web")
     load_plugins(arguments.plugin)
@@ -50,7 +54,7 @@ def view_command(words: Sequence[str]) -> None:
 
     if arguments.screenshot is not None:
         check_overwrite(arguments.screenshot, is_screenshot)
-        write_screenshot(folders, arguments.screenshot)
+        write_screenshot(folders, arguments.screenshot, arguments.tab)
         say(f"wrote {arguments.screenshot}")
     elif arguments.web:
         serve(folders, choose_ports(arguments.port), say)
@@ -158,15 +162,16 @@ class RunsArguments:
 
 
 def runs_command(words: Sequence[str]) -> None:
-    """List runs: what each changes in its scenario, its errors, and its age."""
+    """List runs: what each changes in its scenario, its errors, its age, and the disk that all hold."""
     arguments = parse(RunsArguments, "runs", words, runs_command.__doc__)
-    from deepgps.runs.run_table import tabulate_runs
+    from deepgps.runs.run_table import measure_disk, tabulate_runs
     from deepgps.runs.shared_drive import STORE, empty_store, measure_store
     from sim.files.atomic import write_size
 
     if arguments.empty_drives:
         return empty_store(arguments.folder)
     print(tabulate_runs(arguments.folder))
+    print(f"{write_size(measure_disk(arguments.folder))} in all; to empty it, remove the folder of any run or study")
     if size := measure_store(arguments.folder):
-        print(f"{write_size(size)} in {arguments.folder / STORE}: drives that later runs share, as these runs do")
-        print("deepgps runs --empty-drives removes them; the runs keep theirs")
+        print(f"{write_size(size)} of it in {arguments.folder / STORE}, which later runs share, as these runs do:")
+        print("deepgps runs --empty-drives removes what no run keeps")

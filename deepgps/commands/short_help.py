@@ -3,6 +3,7 @@
 from textwrap import wrap
 from typing import Any, get_args
 
+from deepgps.config.methods import METHODS
 from deepgps.config.scenario import Scenario, names_in
 from deepgps.config.spelling import as_option, find_group
 from sim.files import SCENARIOS
@@ -39,6 +40,7 @@ def write_help(command: str, about: str | None) -> str:
     options = [f"  {option:<{wide}}{text}" for option, text in rows]
     groups = [as_option(name)[2:] for name, field in Scenario.model_fields.items() if find_group(field.annotation)]
     names = ", ".join(names_in(SCENARIOS))
+    own = [name for name, method in METHODS.items() if not method.is_baseline]
     return "\n".join(
         [
             f"usage: deepgps {command} SCENARIO [--SETTING VALUE ...]",
@@ -51,6 +53,8 @@ def write_help(command: str, about: str | None) -> str:
             "",
             "Settings to begin with; a scenario gives the others their values:",
             *options[len(OPTIONS) :],
+            "",
+            *_wrap(f"Methods: {', '.join(own)}; baselines: {', '.join(name for name in METHODS if name not in own)}."),
             "",
             f"deepgps {command} --help GROUP shows a group of settings, --help-all all groups:",
             *_wrap(", ".join(groups)),

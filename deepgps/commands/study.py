@@ -56,11 +56,19 @@ def study_command(words: Sequence[str]) -> None:
         plans = plan_runs(study, progress)
     # These import torch and matplotlib, which takes longer than checking a study.
     from deepgps.runs.collect import choose_renderer_for
-    from deepgps.studies.engine.engine import carry_out, claim_study, default_folder, list_undriven, open_engine
+    from deepgps.studies.engine.engine import (
+        carry_out,
+        claim_study,
+        default_folder,
+        foresee,
+        list_undriven,
+        open_engine,
+    )
     from deepgps.studies.reports.report import check_publish, publish, report_study
 
     folder = arguments.out or default_folder(study)
-    choose_renderer_for(list_undriven(study, plans, folder, arguments.fresh))
+    undriven = list_undriven(study, plans, folder, arguments.fresh)
+    choose_renderer_for(undriven)
     if arguments.publish:
         check_publish(arguments.publish / study.name)
     with (
@@ -68,6 +76,8 @@ def study_command(words: Sequence[str]) -> None:
         open_engine(arguments.engine, arguments.address) as run_all,
         claim_study(study, folder, arguments.fresh) as place,
     ):
+        if expected := foresee(study, plans, undriven, place):
+            errors.print(expected, highlight=False)
         with show_progress(errors) as progress:
             failures = carry_out(study, plans, place, run_all, progress)
         say(report_study(study, plans, failures, place))

@@ -46,6 +46,11 @@ class Method:
     reads_turns: bool = False
     predict: Callable[[Mapping[str, np.ndarray], np.ndarray], np.ndarray] | None = None
 
+    @property
+    def is_baseline(self) -> bool:
+        """Whether it is there to be compared with: it is given positions, or is of older work."""
+        return self.map not in {"compass", "distances", "own"} or self.estimator in {"linear", "trilateration"}
+
 
 METHODS: dict[str, Method] = {
     "registration": Method(
@@ -61,7 +66,7 @@ METHODS: dict[str, Method] = {
     ),
     "deepgps_compass": Method(
         "DeepGPS, compass",
-        "#003f8c",
+        "#00a5c8",
         "SE2",
         "deepgps.methods.compass:fit",
         "compass",
@@ -80,7 +85,7 @@ METHODS: dict[str, Method] = {
     ),
     "deepgps": Method("DeepGPS", "#0b62d6", "E2", "deepgps.methods.deepgps:fit", "distances", "network"),
     "sfa_linear": Method(
-        "Linear slow features", "#8a5a44", "E2", "deepgps.methods.sfa_linear:fit", "distances", "linear", in_steps=False
+        "Linear slow features", "#a0694b", "E2", "deepgps.methods.sfa_linear:fit", "distances", "linear", in_steps=False
     ),
     "explicit": Method(
         "Explicit positioning",
@@ -94,7 +99,7 @@ METHODS: dict[str, Method] = {
     ),
     "explicit_mds": Method(
         "Explicit, from MDS",
-        "#4b5563",
+        "#9aa0a8",
         "E2",
         "deepgps.methods.explicit:fit_from_mds",
         "distances",
@@ -103,11 +108,11 @@ METHODS: dict[str, Method] = {
         in_steps=False,
     ),
     "dead_reckoned_labels": Method(
-        "Odometry labels", "#c2255c", "SE2", "deepgps.methods.baselines:fit_dead_reckoned", "wheels", "network"
+        "Odometry labels", "#2b2b2b", "SE2", "deepgps.methods.baselines:fit_dead_reckoned", "wheels", "network"
     ),
     "registration_labels": Method(
         "Registration, labels",
-        "#f29a2e",
+        "#e8c000",
         "SE2",
         "deepgps.methods.baselines:fit_registration",
         "labels",
@@ -120,7 +125,7 @@ METHODS: dict[str, Method] = {
     ),
     "posenet_noisy": Method(
         "PoseNet, noisy labels",
-        "#b8860b",
+        "#7a5c00",
         "SE2",
         "deepgps.methods.baselines:fit_posenet_noisy",
         "labels",
@@ -139,7 +144,7 @@ METHODS: dict[str, Method] = {
     ),
     "pca_knn": Method(
         "PCA + nearest neighbour",
-        "#6b8e23",
+        "#7fb800",
         "SE2",
         "deepgps.methods.baselines:fit_pca_knn",
         "labels",

@@ -82,7 +82,7 @@ def measure_segments(recording: Recording, pose: np.ndarray) -> tuple[np.ndarray
 
     Segments with one reading are left out; true poses are of the observations (N, 3).
     """
-    encoder, true, _ = measure_distances(recording, pose)
+    encoder, true = measure_distances(recording, pose)
     start = find_starts(recording.reading[:, 0])
     last = find_lasts(start)
     last = last[last > start[last]]
@@ -101,16 +101,10 @@ def reckon_path(recording: Recording, pose: np.ndarray) -> np.ndarray:
     return (path - path[0]) @ turn.T + true[0]
 
 
-def measure_distances(recording: Recording, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Distance (R,) [m] since the segment began at each reading, by encoder and true, and their summed difference.
-
-    True poses (N, 3) are at the observations.
-    """
+def measure_distances(recording: Recording, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distance (R,) [m] since the segment began at each reading, by encoder and true, from true poses (N, 3)."""
     segment, observation, ticks = recording.reading[:, 0], recording.reading[:, 1], recording.reading[:, 2:]
     distance = travel(ticks, recording.manifest.odometry).mean(axis=1)
     start, place = find_starts(segment), pose[observation, :2]
     encoder = np.abs(distance - distance[start])  # a robot may back along a segment
-    true = np.linalg.norm(place - place[start], axis=1)
-    last = np.flatnonzero(np.r_[segment[1:] != segment[:-1], True])
-    before = np.r_[0.0, np.cumsum((encoder - true)[last])]
-    return encoder, true, encoder - true + before[np.searchsorted(last, np.arange(len(segment)))]
+    return encoder, np.linalg.norm(place - place[start], axis=1)

@@ -87,11 +87,7 @@ def print_error_field(axes: Axes, run: Path, name: str, scale_m: tuple[float, fl
 
 
 def draw_field(
-    axes: Axes,
-    space: FreeSpace,
-    field: ErrorField,
-    floor: Floor = SCREEN,
-    scale_m: tuple[float, float] = SCALE_M,
+    axes: Axes, space: FreeSpace, field: ErrorField, floor: Floor = SCREEN, scale_m: tuple[float, float] = SCALE_M
 ) -> None:
     """Draw dots at the true positions and arrows from them to the predictions, at the worst heading of each.
 
@@ -142,13 +138,7 @@ def draw_room(axes: Axes, space: FreeSpace, floor: Floor = SCREEN) -> None:
     x, y = space.origin
     extent = (x - half, x + (columns - 0.5) * space.cell_m, y - half, y + (rows - 0.5) * space.cell_m)
     axes.imshow(
-        kind,
-        origin="lower",
-        extent=extent,
-        cmap=ListedColormap(floor),
-        vmin=0,
-        vmax=2,
-        interpolation="nearest",
+        kind, origin="lower", extent=extent, cmap=ListedColormap(floor), vmin=0, vmax=2, interpolation="nearest"
     )
     low, high = limits(space)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x [m]", ylabel="y [m]", aspect="equal")

@@ -99,9 +99,9 @@ def draw_error_cdf(fields: Mapping[str, ErrorField], *before: Mapping[str, Error
     for some, changes in ((fields, {}), *((one, {"linestyle": "--", "label": None}) for one in before)):
         for name, field in some.items():
             share = np.arange(1, len(field.worst) + 1) / len(field.worst)
-            axes.step(np.sort(field.worst), 100 * share, where="post", **_line(name) | changes)
+            axes.step(100 * np.sort(field.worst), 100 * share, where="post", **_line(name) | changes)
     axes.set_xscale("log")
-    axes.set(xlabel="error of the worst heading [m]", ylabel="test positions [%]", ylim=(0, 100))
+    axes.set(xlabel="error of the worst heading [cm]", ylabel="test positions [%]", ylim=(0, 100))
     axes.xaxis.set_major_formatter(ticker.FormatStrFormatter("%g"))
     axes.axhline(50, color="#999999", linewidth=0.8, linestyle=":")
     axes.set_title("Distribution of errors", fontsize=13)

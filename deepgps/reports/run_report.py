@@ -101,8 +101,10 @@ def describe(metrics: Mapping[str, Any], times: Mapping[str, float] | None = Non
         measured, expected = (f"{100 * distances[f'segment_{name}']:.2f} cm" for name in ("rms_m", "expected_m"))
         sentence = f"The encoders' segment lengths have an RMS error of {measured}; theory predicts {expected}."
         if wrong := distances["segments_wrong"]:
-            sentence += f" {wrong} segments have larger errors than noise explains; disagreement of the wheels reveals "
-            sentence += f"{distances['wrong_doubted']}."
+            sentence += (
+                f" Of them, {wrong} have larger errors than noise explains, and on {distances['wrong_doubted']} of "
+            )
+            sentence += "these the wheels disagree."
         sentences.append(sentence)
     if trajectory := metrics.get("trajectory"):
         error = f"RMS {trajectory['rms_m']:.2f} m, at most {trajectory['max_m']:.2f} m"
@@ -113,7 +115,7 @@ def describe(metrics: Mapping[str, Any], times: Mapping[str, float] | None = Non
         *sentences,
         f"{seen} of {reachable} {places} ({100 * seen / max(reachable, 1):.1f} %) are within "
         "0.25 m of a training observation.",
-        *_list_shares("Accepted images (places)", methods, ("accepted", "accepted_places"), 1),
+        *_list_shares("Accepted images (test positions)", methods, ("accepted", "accepted_places"), 1),
         *_list_shares(
             "Accepted images within their 68 % radius (95 %)", methods, ("radius_68_holds", "radius_95_holds"), 0
         ),

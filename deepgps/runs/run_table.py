@@ -12,10 +12,11 @@ from deepgps.config.spelling import as_option
 from deepgps.runs.run_folder import METRICS, RUN, TRUTHLESS_METRICS, describe_no_run, list_runs, open_run
 from sim.errors import InputError
 from sim.files import SCENARIOS
+from sim.files.atomic import write_size
 from sim.files.checksums import damaged, read_json
 from sim.recording.format import is_whole
 
-HEADINGS = ("run", "age", "RMS (median) [cm]", "differs from its scenario by")
+HEADINGS = ("run", "age", "disk", "RMS (median) [cm]", "differs from its scenario by")
 UNITS = ((86400, "d"), (3600, "h"), (60, "min"), (1, "s"))
 
 
@@ -30,6 +31,12 @@ def tabulate_runs(folder: Path) -> str:
     return "\n".join(
         "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
     )
+
+
+def measure_disk(folder: Path) -> int:
+    """Bytes of all files in a folder; a file with several names counts once."""
+    found = [path.lstat() for path in folder.rglob("*") if path.is_file() or path.is_symlink()]
+    return sum({one.st_ino: one.st_size for one in found}.values())
 
 
 def list_differences(scenario: Scenario) -> dict[str, Any]:
@@ -61,13 +68,13 @@ def write_age(seconds: float) -> str:
     return f"{max(0, int(seconds // size))} {unit}"
 
 
-def _describe(run: Path, name: Path) -> tuple[str, str, str, str]:
-    age = write_age(time.time() - _find_time(run))
+def _describe(run: Path, name: Path) -> tuple[str, ...]:
+    first = (str(name), write_age(time.time() - _find_time(run)), write_size(measure_disk(run)))
     try:
         changes = [f"{as_option(key)} {_write(value)}" for key, value in list_differences(open_run(run)).items()]
-        return str(name), age, _describe_errors(run), " ".join(changes) or "nothing"
+        return *first, _describe_errors(run), " ".join(changes) or "nothing"
     except InputError as error:
-        return str(name), age, "-", f"cannot be read: {error}"
+        return *first, "-", f"cannot be read: {error}"
 
 
 def _describe_errors(run: Path) -> str:

@@ -14,7 +14,7 @@ from deepgps.config.setting_problems import MAX_PROBLEMS, join_problems
 from deepgps.runs.inputs import digest, digest_recording, read_room
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.study import Point, Study
-from deepgps.studies.table import Plan
+from deepgps.studies.table import CASE, Plan
 from deepgps.terminal.progress import Report, ignore
 from sim.errors import InputError, shorten
 from sim.files import SCENARIOS
@@ -76,7 +76,7 @@ def _make_planner(study: Study) -> Callable[[int, Point], Plan]:
             return error
 
     def plan(seed: int, varied: Point) -> Plan:
-        settings = {name: value for name, value in varied.items() if name != "scenario"}
+        settings = {name: value for name, value in varied.items() if name not in {"scenario", CASE}}
         found = read(varied.get("scenario", study.scenario))
         if isinstance(found, InputError):
             raise found

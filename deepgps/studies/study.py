@@ -14,6 +14,7 @@ from deepgps.config.plain_yaml import read_yaml
 from deepgps.config.scenario import MAX_NAME_LETTERS, NAME, MethodName, clean_name, find_settings, flatten
 from deepgps.config.setting_problems import describe_problems
 from deepgps.studies.catalog import REPORTS
+from deepgps.studies.table import CASE
 from sim.errors import InputError, quote, shorten
 from sim.files import STUDIES
 from sim.settings import Group
@@ -31,7 +32,8 @@ class Variation(Group):
     set: Point = Field(default_factory=dict)
     """Settings by dotted name, the same for all runs; a group given as a mapping sets those that it names."""
     cases: tuple[Point, ...] = Field(default=({},), min_length=1)
-    """Explicit combinations of settings by dotted name; ``scenario`` names a scenario other than the study's own."""
+    """Explicit combinations of settings by dotted name; ``scenario`` names a scenario other than the study's own, and
+    ``case`` gives the combination a name."""
     axes: dict[str, tuple[Any, ...]] = Field(default_factory=dict)
     """Values by dotted name; each case is run with every combination of these values."""
     seeds: tuple[Seed, ...] = Field(default=(0,), min_length=1)
@@ -47,6 +49,8 @@ class Variation(Group):
             raise ValueError(f"{shorten(both[0])} is both in cases and in axes")
         if empty := [name for name, values in self.axes.items() if not values]:
             raise ValueError(f"axes.{shorten(empty[0])} has no values")
+        if wrong := [case[CASE] for case in self.cases if not isinstance(case.get(CASE, ""), str)]:
+            raise ValueError(f"case {quote(wrong[0])} must be a name in words")
         sources = [*(case["scenario"] for case in self.cases if "scenario" in case), *self.axes.get("scenario", ())]
         if wrong := [source for source in sources if not isinstance(source, str)]:
             raise ValueError(f"scenario {quote(wrong[0])} must be a name in assets/scenarios, or a path")
@@ -63,10 +67,10 @@ class Study(Variation):
     """A name in assets/scenarios, or the path of a YAML file, relative to the study's own folder."""
     networks: tuple[MethodName, ...] = ()
     """Methods that train a network, which --networks adds to the methods."""
-    report: ReportName = "plain"
-    """How the table is reported (deepgps/studies/catalog.py). plain: rows as they are; rooms: means, and which method
-    wins; compare: means over seeds for everything else that varies; curves: errors along the last axis, the default if
-    that has numbers."""
+    report: ReportName = "compare"
+    """How the table is reported (deepgps/studies/catalog.py). compare: means over seeds, intervals,
+    differences to the first case and a ranking, the default; curves: errors along the last axis, the default if that
+    has numbers; rooms: means, and which method wins; plain: rows as they are."""
     target: dict[str, float] = Field(default_factory=dict)
     """Target values of the report's figures."""
     paper: dict[str, float] = Field(default_factory=dict)

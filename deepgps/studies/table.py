@@ -15,6 +15,7 @@ from sim.files.atomic import write_bytes
 from sim.files.checksums import drop_sum, write_sum
 
 Row = dict[str, Any]
+CASE = "case"  # Column, and key in a study's case, of the name that the user gives the case
 Point = dict[str, Any]  # Settings of a run by dotted name
 # figures of a method, by their names in metrics.json
 FIGURES = (
@@ -42,8 +43,8 @@ class Plan:
 def gather(plans: Sequence[Plan], failures: Mapping[str, str], folder: Path) -> list[Row]:
     """Rows of all runs of a study in order, including runs that failed, by their hash; each row has every column."""
     names = dict.fromkeys(name for plan in plans for name in plan.varied)
-    # settings that only some cases set come first, axes last
-    varied = sorted(names, key=lambda name: all(name in plan.varied for plan in plans))
+    # the name comes first, then settings that only some cases set, axes last
+    varied = sorted(names, key=lambda name: (name != CASE, all(name in plan.varied for plan in plans)))
     return [row for plan in plans for row in _rows(plan, varied, failures.get(plan.run), folder)]
 
 
@@ -162,7 +163,7 @@ def _rows(plan: Plan, varied: Sequence[str], failure: str | None, folder: Path) 
         "run": plan.run,
         "recording": plan.recording,
         "seed": plan.scenario.seed,
-        **{name: read_setting(plan.scenario, name) for name in varied},
+        **{name: plan.varied.get(CASE) if name == CASE else read_setting(plan.scenario, name) for name in varied},
         "samples": metrics.get("samples"),
         "segments": metrics.get("segments"),
         "distance_m": metrics.get("distance_driven_m"),

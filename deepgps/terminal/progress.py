@@ -115,6 +115,7 @@ def _show_bars(console: "Console") -> Iterator[Report]:
         TimeRemainingColumn(),
     ]
     with Progress(*columns, console=console) as bars:
+        whole = bars.add_task("in all", total=None, rate="")  # its clock shows that work goes on between two stages
         tasks = {}
 
         def report(label: str, done: int, total: int, look: Look | None = None) -> None:
@@ -124,3 +125,4 @@ def _show_bars(console: "Console") -> Iterator[Report]:
             bars.update(tasks[label], completed=done, total=total, rate=f"{speed:.0f}/s" if speed else "")
 
         yield report
+        bars.update(whole, total=1, completed=1)

@@ -20,7 +20,7 @@ from deepgps.viewer.drive import MAX_IMAGES, ODOMETRY_COLOUR, RIGHT_COLOUR, ROUN
 from deepgps.viewer.error_field import REFUSED_RGBA, log_field
 from deepgps.viewer.pictures import make_warp
 from deepgps.viewer.scene import LAYER_M, lift
-from deepgps.viewer.stream import DEPLOYMENT, drive_clock, send_rows, send_series
+from deepgps.viewer.stream import DEPLOYMENT, Span, deployment_clock, send_rows, send_series
 from sim.recording.format import Recording, open_truth
 from sim.recording.turns import NO_IMAGE
 
@@ -54,9 +54,11 @@ def find_ways(run: Path, drive: Recording) -> tuple[str, dict[str, Way]]:
     return method, {name: ways[name] for name in COLOURS if name in ways}
 
 
-def log_deployment(stream: rr.RecordingStream, method: str, ways: Mapping[str, Way], drive: Recording) -> None:
+def log_deployment(
+    stream: rr.RecordingStream, method: str, ways: Mapping[str, Way], drive: Recording, span: Span
+) -> None:
     """Log the true path in the colours of each way's errors, its arrows, its errors over time, and the images."""
-    clock = drive_clock(drive, DEPLOYMENT)
+    clock = deployment_clock(drive, span)
     for name, (title, field, time) in ways.items():
         root, error, place = f"world/{DEPLOYMENT}/{name}", field.error[:, 0], lift(field.truth, LAYER_M)
         log_field(stream, method, field, root=root, marks={row: f", {one:.1f} s" for row, one in enumerate(time)})

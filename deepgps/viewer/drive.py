@@ -41,28 +41,24 @@ NO_DIAGNOSIS = (
 
 def log_drive(stream: rr.RecordingStream, recording: Recording, truth: Truth, large: dict[int, bytes]) -> None:
     """Log a finished drive, with large pictures in JPEG by observation."""
-    clock = drive_clock(recording)
     segment, observation, *_ = recording.reading.T
     seen, first = np.unique(observation, return_index=True)
     log_robot(stream, find_track_m(recording), camera_of(recording).height_m)
-    log_poses(stream, truth.pose[seen], clock(recording.time[first]))
-    log_path(
-        stream, "world/drive", segment, truth.pose[observation, :2], (TRUE_COLOUR, LEG_COLOUR), recording.time, clock
-    )
-    encoder, true, difference = measure_distances(recording, truth.pose)
+    log_poses(stream, truth.pose[seen], drive_clock(recording.time[first]))
+    log_path(stream, "world/drive", segment, truth.pose[observation, :2], (TRUE_COLOUR, LEG_COLOUR), recording.time)
+    encoder, true = measure_distances(recording, truth.pose)
     for path, values, label, colour in (
         ("distance/encoder", encoder, "by encoder", ODOMETRY_COLOUR),
         ("distance/truth", true, "true", TRUE_COLOUR),
         ("segment_error", 1000 * (encoder - true), "encoder minus truth", WRONG_COLOUR),
-        ("difference", 1000 * difference, "encoder minus truth, cumulative", WRONG_COLOUR),
     ):
-        send_series(stream, f"drive/{path}", clock(recording.time), values, label, colour)
+        send_series(stream, f"drive/{path}", drive_clock(recording.time), values, label, colour)
     log_ticks(stream, recording)
     log_images(stream, recording)
     if large:
         shown = [number for number in large if number in set(seen.tolist())]
         time = recording.time[first[np.searchsorted(seen, shown)]]
-        log_jpegs(stream, f"drive/{LARGE_ENTITY}", (large[number] for number in shown), clock(time))
+        log_jpegs(stream, f"drive/{LARGE_ENTITY}", (large[number] for number in shown), drive_clock(time))
 
 
 def log_robot(stream: rr.RecordingStream, track_m: float, height_m: float) -> None:
@@ -97,7 +93,7 @@ def log_path(
     place: np.ndarray,
     colours: tuple[Colour, Colour],
     time: np.ndarray,
-    clock: Clock,
+    clock: Clock = drive_clock,
 ) -> None:
     """Log complete segments, one row each, and at each reading the part of its segment driven so far.
 
@@ -118,7 +114,7 @@ def log_images(stream: rr.RecordingStream, recording: Recording) -> None:
     """Log what the sensors took: pictures, and of a scan the end of each ray in the robot's frame."""
     seen, first = np.unique(recording.reading[:, 1], return_index=True)
     step = -(-len(seen) // MAX_IMAGES)
-    seen, at = seen[::step], drive_clock(recording)(recording.time[first[::step]])
+    seen, at = seen[::step], drive_clock(recording.time[first[::step]])
     if recording.kind == "polar_image":
         rings, sectors = recording.observation.shape[1:3]
         warp = make_warp(camera_of(recording), rings, sectors, ROUND_PX)
@@ -154,11 +150,11 @@ def log_ticks(stream: rr.RecordingStream, recording: Recording) -> None:
     """Log the ticks of both wheels since the reading before on the same segment; the first reading has none."""
     segment = recording.reading[:, 0]
     later = segment[1:] == segment[:-1]
-    at = drive_clock(recording)(recording.time[1 + np.flatnonzero(later)])
+    at = drive_clock(recording.time[1 + np.flatnonzero(later)])
     ticks = np.diff(recording.reading[:, 2:], axis=0)[later]
-    # wider, so that it is seen under an equal right
-    send_series(stream, "drive/ticks/left", at, ticks[:, 0], "left", TRUE_COLOUR, width=4.0)
-    send_series(stream, "drive/ticks/right", at, ticks[:, 1], "right", RIGHT_COLOUR)
+    send_series(stream, "drive/ticks/left", at, ticks[:, 0], "left", TRUE_COLOUR)
+    # wide and pale, so that both are seen where they are equal
+    send_series(stream, "drive/ticks/right", at, ticks[:, 1], "right", (*RIGHT_COLOUR, 110), width=5.0)
     send_series(stream, "drive/tick_difference", at, ticks[:, 1] - ticks[:, 0], "right minus left", WRONG_COLOUR)
 
 
@@ -166,9 +162,8 @@ def log_encoders(stream: rr.RecordingStream, recording: Recording, truth: Truth)
     """Log the dead-reckoned path, its distance from the true path, and the errors of segments as text and figure."""
     true, reckoned = truth.pose[recording.reading[:, 1], :2], reckon_path(recording, truth.pose)
     drift = np.linalg.norm(reckoned - true, axis=1)
-    clock, root = drive_clock(recording), "world/reckoned"
-    at = clock(recording.time)
-    log_path(stream, root, recording.reading[:, 0], reckoned, (ODOMETRY_COLOUR, ODOMETRY_COLOUR), recording.time, clock)
+    root, at = "world/reckoned", drive_clock(recording.time)
+    log_path(stream, root, recording.reading[:, 0], reckoned, (ODOMETRY_COLOUR, ODOMETRY_COLOUR), recording.time)
     place = {"positions": lift(reckoned, 5 * LAYER_M)}
     send_rows(stream, f"{root}/place", rr.Points3D, at, place, {"radii": 0.06, "colors": ODOMETRY_COLOUR})
     ends = {"strips": np.stack([lift(true, 4 * LAYER_M), lift(reckoned, 4 * LAYER_M)], axis=1)}

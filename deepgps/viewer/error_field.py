@@ -1,6 +1,6 @@
 """Error fields: an arrow from each true place to the predicted one, a dot at the true one, and its numbers.
 
-Layers above it are hidden at first: headings, yaws, radii, ellipses, expected errors, coverage by images.
+Layers above it are hidden at first: headings, yaws, radii, ellipses, coverage by images.
 
 The viewer's tooltip lists up to three components that differ between the arrows of an entity, and more only by their
 number. So an entity has its shape, its colours and one short text, and other values are logged above it.
@@ -21,7 +21,7 @@ from deepgps.evaluation.measures import find_seen
 from deepgps.positioner import registration
 from deepgps.reports.plots import REFUSED_COLOUR, colours_of
 from deepgps.viewer.read import COLUMNS
-from deepgps.viewer.scene import LAYER_M, draw_circles, draw_ellipses, lift
+from deepgps.viewer.scene import LAYER_M, draw_ellipses, lift
 from deepgps.viewer.stream import Rows, put
 from sim.geometry import FreeSpace
 
@@ -88,14 +88,14 @@ def describe_errors(field: WorstField, marks: Mapping[int, str] = MappingProxyTy
 
 
 def list_layers(name: str, field: ErrorField) -> list[str]:
-    """Entities of the layers that a method has: errors at each heading, yaws, radii, errors that its map expects."""
-    has = {"yaw": field.yaw, "radius": field.radius, SIGMA: field.radius, ELLIPSES: field.covariance}
-    layers = [layer for layer, part in {**has, "expected": field.expected}.items() if part is not None]
+    """Entities of the layers that a method has: errors at each heading, yaws, radii by place, ellipses."""
+    has = {"yaw": field.yaw, SIGMA: field.radius, ELLIPSES: field.covariance}
+    layers = [layer for layer, part in has.items() if part is not None]
     return [*_list_headings(name, field), *(name_layer(name, layer) for layer in layers)]
 
 
 def name_layer(name: str, layer: str) -> str:
-    """The entity of a method's layer, such as ``yaw``, ``radius`` or ``expected``."""
+    """The entity of a method's layer, such as ``yaw``."""
     return f"world/error_field/{name}/{layer}"
 
 
@@ -128,11 +128,6 @@ def _draw_layers(field: ErrorField) -> Iterator[Layer]:
     if field.yaw is not None and field.yaw_error is not None:
         yield from _draw_yaws(field, field.yaw, np.degrees(field.yaw_error), 0.005 * thin, height_m)
     worst = split_by_acceptance(field)[0]
-    if worst.radius is not None:  # of 68 %, in the colours of such errors
-        circles = draw_circles(worst.predicted, worst.radius, height_m)
-        rows = zip(100 * worst.radius, 100 * worst.error, strict=True)
-        words = [f"68 % within {radius:.1f} cm, off by {error:.1f} cm" for radius, error in rows]
-        yield "radius", "radius", rr.LineStrips3D(circles, radii=0.003 * thin, colors=colours_of(worst.radius)), words
     if field.radius is not None:
         sigma = np.where(field.is_accepted, field.radius, 0.0).max(axis=1)
         colours = np.where(sigma[:, None] > 0.0, colours_of(sigma, (SIGMA_TICKS_M[0], SIGMA_TICKS_M[-1])), REFUSED_RGBA)
@@ -149,9 +144,6 @@ def _draw_layers(field: ErrorField) -> Iterator[Layer]:
         axes = 100.0 * np.sqrt(np.linalg.eigvalsh(covariance))
         words = [f"95 % within ± {long:.1f}, ± {short:.1f} cm" for short, long in axes]
         yield ELLIPSES, "ellipse", rr.LineStrips3D(strips, radii=0.004, colors=[GOOD_COLOUR]), words
-    if field.expected is not None:
-        words = [f"{100 * one:.2f} cm expected" for one in field.expected]
-        yield "expected", "expected", _tile_places(field.truth, colours_of(field.expected)), words
 
 
 def _draw_yaws(
@@ -231,8 +223,5 @@ def _tile_places(places: np.ndarray, colours: np.ndarray) -> rr.Boxes3D:
 def _make_tiles(middle: np.ndarray, size_m: float, height_m: float, colours: np.ndarray) -> rr.Boxes3D:
     """Flat squares around points (n, 2) [m], high enough above the floor plan for the viewer to draw them over it."""
     return rr.Boxes3D(
-        centers=lift(middle, height_m),
-        half_sizes=[(size_m / 2, size_m / 2, 0.0005)],
-        colors=colours,
-        fill_mode="solid",
+        centers=lift(middle, height_m), half_sizes=[(size_m / 2, size_m / 2, 0.0005)], colors=colours, fill_mode="solid"
     )

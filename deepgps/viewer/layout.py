@@ -1,6 +1,6 @@
 """The viewer's layouts: of a finished run, of one in progress, of one without truth; and views that all layouts use."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,12 +13,13 @@ from deepgps.viewer.error_field import COVERAGE, DENSITY, ELLIPSE_SCALE, ELLIPSE
 from deepgps.viewer.making import MAP_ENTITY, TEXT_ENTITY
 from deepgps.viewer.pictures import DISTRIBUTION, LARGE_ENTITY
 from deepgps.viewer.places import TRAINING_IMAGES
-from deepgps.viewer.scene import BACKDROP, STILL_BEHAVIOUR
-from deepgps.viewer.stream import DEPLOYMENT, PROGRESS, RUN_TIME, lately, until_now
+from deepgps.viewer.scene import BACKDROP, LAYER_M, STILL_BEHAVIOUR
+from deepgps.viewer.stream import DEPLOYMENT, DRIVE_TIME, RUN_TIME, Span, show_until_now
 from sim.geometry import FreeSpace, limits
 
 HIDDEN_BEHAVIOUR = rrb.EntityBehavior(visible=False)
 TICK_WINDOW_S, TRAIL_S = 60.0, 120.0
+PLAYED_S = 100.0  # In which the viewer plays a drive
 ASPECT = 1.6  # Width of most views over their height
 PLACES = "Places"
 PICTURE_TITLES = {
@@ -28,10 +29,12 @@ PICTURE_TITLES = {
     "answer_2": "At the answer 2, yellow",
     "closest": "Closest, green",
 }
-TICKS = ("Ticks per gap: left blue, right green", "drive/ticks", TICK_WINDOW_S)
+TICKS = ("Ticks per gap: left blue, right wide, green", "drive/ticks", TICK_WINDOW_S)
 SEGMENT_ERROR = ("Encoder minus truth [mm]", "drive/segment_error", TICK_WINDOW_S)
 WHEELS = ("Diagnosis of the wheels", DIAGNOSIS)
 LOGARITHM = "0 is 1 cm, 1 is 10 cm, 2 is 1 m"  # What the values of a plot of errors mean
+NIGHT = (13, 13, 13)  # Colour behind plans and rooms, in any theme
+METRES = rrb.LineGrid3D(spacing=1.0, plane=rr.components.Plane3D.XY.with_distance(LAYER_M), color=(255, 255, 255, 25))
 STEPS, FIGURES = "steps", "report/figures"
 Layers = Mapping[str, Sequence[str]]  # Layers of a method's error field that are hidden at first, by method
 Part = rrb.Container | rrb.View
@@ -42,7 +45,7 @@ def make_blueprint(
     layers: Layers,
     trained: Sequence[str],
     pictures: Mapping[str, str],
-    drive_s: float,
+    span: Span,
     mapped: str | None = None,
     sure: str | None = None,
     deployed: tuple[str, Mapping[str, str]] | None = None,
@@ -52,12 +55,7 @@ def make_blueprint(
     It takes titles of the sensors' pictures by name; the methods, if any, whose initial map's making and whose radii
     by place are shown; and the one whose errors along the deployment drive are, with titles of its ways by name.
     """
-    errors = rrb.Horizontal(series_view(*SEGMENT_ERROR, drive_s), series_view(*TICKS, drive_s))
-    beside = rrb.Vertical(
-        rrb.Spatial2DView(name="Distribution of errors", origin=DISTRIBUTION),
-        text_view("The place at the slider", "place/text"),
-        row_shares=[3, 2],
-    )
+    errors = rrb.Horizontal(series_view(*SEGMENT_ERROR), series_view(*TICKS))
     return arrange(
         [
             _error_fields(space, layers, ["place/test/**"]),
@@ -67,10 +65,10 @@ def make_blueprint(
             _drive(space, pictures, errors),
             *([_making(space, mapped)] if mapped else []),
             *([_training(space, trained, [_loss_view(name) for name in trained])] if trained else []),
-            _encoders(space, drive_s),
-            rrb.Horizontal(text_view("Report", "report/text"), beside, name="Report"),
+            _encoders(space),
+            rrb.Horizontal(text_view("Report", "report/text"), errors_view(), name="Report"),
         ],
-        play(PROGRESS),
+        play(DRIVE_TIME, (span[1] - span[0]) / PLAYED_S),
     )
 
 
@@ -82,7 +80,7 @@ def make_live_blueprint(
     The room's floor is known once the recording is finished; the first training began at ``began_s`` [s].
     """
     steps = text_view("Steps", STEPS)
-    tabs: list[Part] = [_drive(space, POLAR_PICTURES if pictures else {}, steps, [RUN_TIME])]
+    tabs: list[Part] = [_drive(space, POLAR_PICTURES if pictures else {}, steps, RUN_TIME)]
     if space and trained:
         start = rr.TimeRangeBoundary.absolute(seconds=began_s)
         tabs.append(_training(space, trained, [*(_loss_view(name, start) for name in trained), steps]))
@@ -92,30 +90,32 @@ def make_live_blueprint(
 
 
 def make_blueprint_without_truth(
-    pictures: Mapping[str, str], drive_s: float, reckoned: np.ndarray, last: Mapping[str, np.ndarray]
+    pictures: Mapping[str, str], span: Span, reckoned: np.ndarray, last: Mapping[str, np.ndarray]
 ) -> rrb.Blueprint:
     """The viewer's layout for a run without truth: its dead-reckoned path (R, 2) and its methods' maps (n, 2) [m]."""
     path = rrb.Spatial3DView(
+        background=NIGHT,
         name="Dead-reckoned path",
         origin="world",
         eye_controls=_aim_at(reckoned),
-        overrides={"world/reckoned/path": rrb.VisibleTimeRanges(until_now())},
+        overrides={"world/reckoned/path": rrb.VisibleTimeRanges(show_until_now())},
     )
     beside = rrb.Vertical(
         *_camera_views(pictures),
         series_view("Distance travelled [m]", "drive/distance"),
-        series_view(*TICKS, drive_s),
+        series_view(*TICKS),
         rrb.Tabs(text_view("Without truth", "report"), text_view(*WHEELS)),
     )
     tabs: list[Part] = [rrb.Horizontal(path, beside, name="Drive", column_shares=[3, 2])]
     if last:
+        eyes = {name: _aim_at(points, len(last)) for name, points in last.items()}
         maps = [
-            rrb.Spatial3DView(name=title_of(name), origin=f"map/{name}", eye_controls=_aim_at(points, len(last)))
-            for name, points in last.items()
+            rrb.Spatial3DView(name=title_of(name), origin=f"map/{name}", background=NIGHT, eye_controls=eye)
+            for name, eye in eyes.items()
         ]
         losses = [_loss_view(name) for name in last]
         tabs.append(rrb.Vertical(rrb.Horizontal(*maps), rrb.Horizontal(*losses), name="Training", row_shares=[3, 1]))
-    return arrange(tabs, play(PROGRESS))
+    return arrange(tabs, play(DRIVE_TIME, (span[1] - span[0]) / PLAYED_S))
 
 
 def arrange(tabs: Sequence[Part], time: rrb.TimePanel, active: int = 0) -> rrb.Blueprint:
@@ -129,28 +129,35 @@ def arrange(tabs: Sequence[Part], time: rrb.TimePanel, active: int = 0) -> rrb.B
     )
 
 
-def play(timeline: str) -> rrb.TimePanel:
+def play(timeline: str, speed: float = 1.0) -> rrb.TimePanel:
     """A closed time panel, whose slider stands at the end of a timeline."""
-    return rrb.TimePanel(state="collapsed", timeline=timeline, play_state="following")
+    return rrb.TimePanel(state="collapsed", timeline=timeline, play_state="following", playback_speed=speed)
 
 
 def room_view(
     name: str,
-    contents: Iterable[str],
+    contents: Sequence[str],
     eye: rrb.EyeControls3D,
     root: str = "world",
     overrides: Mapping[Any, Any] | None = None,
     line_grid: bool = False,
 ) -> rrb.Spatial3DView:
-    """A view of entities below ``root``, of which only what can tell something catches the pointer."""
+    """A dark view of entities below ``root``; only what can tell something catches the pointer; a plan has lines
+    every metre."""
     return rrb.Spatial3DView(
         name=name,
         origin=root,
         contents=[f"{root}/{one}" for one in contents],
         eye_controls=eye,
-        line_grid=line_grid,
+        line_grid=line_grid or ("room" not in contents and METRES),
+        background=NIGHT,
         overrides={f"{root}/{name}": STILL_BEHAVIOUR for name in BACKDROP} | dict(overrides or {}),
     )
+
+
+def errors_view() -> rrb.Spatial2DView:
+    """A view of the distribution of errors."""
+    return rrb.Spatial2DView(name="Distribution of errors", origin=DISTRIBUTION)
 
 
 def text_view(name: str, origin: str) -> rrb.TextDocumentView:
@@ -159,7 +166,7 @@ def text_view(name: str, origin: str) -> rrb.TextDocumentView:
 
 
 def series_view(
-    name: str, path: str, lately_s: float | None = None, drive_s: float = 0.0, start: Any = None, legend: bool = False
+    name: str, path: str, lately_s: float | None = None, start: Any = None, legend: bool = False
 ) -> rrb.TimeSeriesView:
     """A plot along the slider, of everything or of the last seconds; without a legend, its name says as much."""
     infinite = rr.TimeRangeBoundary.infinite()
@@ -169,7 +176,7 @@ def series_view(
         origin=path,
         plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=legend),
         axis_x=whole if lately_s is None else None,
-        time_ranges=None if lately_s is None else lately(lately_s, drive_s),
+        time_ranges=None if lately_s is None else show_until_now(seconds=lately_s),
     )
 
 
@@ -218,7 +225,9 @@ def _camera_views(pictures: Mapping[str, str]) -> list[Part]:
 
 
 def _loss_view(name: str, start: Any = None) -> rrb.TimeSeriesView:
-    return series_view("Loss, log10: each step pale, running median bright", f"training/{name}", start=start)
+    return series_view(
+        "Loss, log10, first to last step: each pale, running median bright", f"training/{name}", start=start
+    )
 
 
 def _error_fields(space: FreeSpace, layers: Layers, places: Sequence[str] = ()) -> Part:
@@ -250,14 +259,7 @@ def _error_fields(space: FreeSpace, layers: Layers, places: Sequence[str] = ()) 
 
 def _places(space: FreeSpace, pictures: bool) -> Part:
     """One image at a time, beside training images, its place and its modes on the floor plan, and its numbers."""
-    shown = [
-        "radius",
-        "error",
-        "test",
-        "near",
-        "modes/**",
-        *(f"{name}/**" for name in TRAINING_IMAGES),
-    ]  # without the label
+    shown = ["radius", "error", "test", "near", "modes/**", *(f"{name}/**" for name in TRAINING_IMAGES)]  # no label
     floor = room_view(
         "The place, and others that explain the image",
         ["floor_plan", "outline", *(f"place/{one}" for one in shown)],
@@ -298,14 +300,12 @@ def _deployment(space: FreeSpace, method: str, ways: Mapping[str, str], pictures
     return rrb.Vertical(rrb.Horizontal(*views), rrb.Horizontal(*below), row_shares=[5, 3], name="Deployment")
 
 
-def _drive(
-    space: FreeSpace | None, pictures: Mapping[str, str], below: Part, timelines: Sequence[str] | None = None
-) -> Part:
+def _drive(space: FreeSpace | None, pictures: Mapping[str, str], below: Part, timeline: str = DRIVE_TIME) -> Part:
     room = room_view(
         "Robot and path so far",
         ["room", "drive/**"],
         aim_eye(space, tilt=0.45, reach=1.3, before=-0.4),
-        overrides={"world/drive/path": rrb.VisibleTimeRanges(until_now(timelines) if timelines else until_now())},
+        overrides={"world/drive/path": rrb.VisibleTimeRanges(show_until_now(timeline))},
         line_grid=space is None,
     )
     shares = [*([3] if LARGE_ENTITY in pictures else []), *([2] if set(pictures) - {LARGE_ENTITY} else []), 2]
@@ -314,25 +314,20 @@ def _drive(
 
 
 def _making(space: FreeSpace, method: str) -> Part:
-    """How the initial map is made, and the errors that it expects beside those of the trained method."""
     title = "The initial map in the making: choose the timeline `making`"
     making = room_view(
         title, ["outline", f"{MAP_ENTITY.removeprefix('world/')}/**"], aim_eye(space, before=0.0, aspect=1.05)
     )
-    fields = [
-        room_view(name, ["floor_plan", "scale/**", f"error_field/{method}/{shown}"], aim_eye(space))
-        for name, shown in (
-            ("Error that the initial map expects of itself", "expected"),
-            (f"Error field of {title_of(method)}", "worst/**"),
-        )
-    ]
-    beside = rrb.Vertical(text_view("This stage", TEXT_ENTITY), *fields, row_shares=[4, 4, 4])
+    field = ["floor_plan", "scale/**", f"error_field/{method}/worst/**"]
+    beside = rrb.Vertical(
+        text_view("This stage", TEXT_ENTITY), room_view(f"Error field of {title_of(method)}", field, aim_eye(space))
+    )
     return rrb.Horizontal(making, beside, column_shares=[5, 3], name="Initial map")
 
 
-def _encoders(space: FreeSpace, drive_s: float) -> Part:
+def _encoders(space: FreeSpace) -> Part:
     """The encoders' errors: in words, as paths on the floor, along the drive, and for each segment."""
-    trail = rrb.VisibleTimeRanges(lately(TRAIL_S, drive_s))
+    trail = rrb.VisibleTimeRanges(show_until_now(seconds=TRAIL_S))
     paths = room_view(
         "True path (blue) and dead-reckoned path (orange)",
         ["floor_plan", "drive/**", "reckoned/**"],
@@ -340,13 +335,10 @@ def _encoders(space: FreeSpace, drive_s: float) -> Part:
         overrides={"world/drive/path": trail, "world/reckoned/path": trail},
     )
     faults = text_view("Faults that were set", "encoders/faults")
-    difference = series_view("Ticks per gap, right minus left", "drive/tick_difference", TICK_WINDOW_S, drive_s)
+    difference = series_view("Ticks per gap, right minus left", "drive/tick_difference", TICK_WINDOW_S)
     series = rrb.Vertical(
-        rrb.Horizontal(series_view(*SEGMENT_ERROR, drive_s), series_view(*TICKS, drive_s), difference),
-        rrb.Horizontal(
-            series_view("Its sum over all segments [mm]", "drive/difference"),
-            series_view("Dead-reckoning drift [m]", "encoders/drift"),
-        ),
+        rrb.Horizontal(series_view(*SEGMENT_ERROR), series_view(*TICKS), difference),
+        series_view("Dead-reckoning drift [m]", "encoders/drift"),
         rrb.Spatial2DView(name="Each segment", origin="encoders/segments"),
         row_shares=[4, 4, 6],
     )

@@ -18,7 +18,7 @@ from deepgps.evaluation.map_errors import read_known_map
 from deepgps.initial_map.stored_map import StoredMap
 from deepgps.reports import plots
 from deepgps.viewer.scene import LAYER_M, colours_of_places, draw_ellipses, lift
-from deepgps.viewer.stream import Rows, making_rows, put, put_text, send_rows, send_series, step_rows
+from deepgps.viewer.stream import Rows, Span, find_span, making_rows, put, put_text, send_rows, send_series, step_rows
 from sim.alignment import Alignment, fit_alignment
 from sim.recording.format import Recording
 
@@ -54,7 +54,7 @@ def log_making(stream: rr.RecordingStream, stored: StoredMap, recording: Recordi
     rows = np.split(recording.reading[:, 1], np.flatnonzero(np.diff(segment)) + 1)
     last = len(stored.stage) - 1
     for stage in range(last + 1):
-        at = making_rows(stage, last)
+        at = making_rows(stage, last, find_span(recording))
         own = fit_alignment(stored.stage_places[stage][known].astype(float), final[known], "SE2")
         places = own.apply(stored.stage_places[stage].astype(float))
         heading = own.turn(stored.stage_heading[stage].astype(float))
@@ -147,10 +147,10 @@ def _describe(stored: StoredMap, stage: int, off_m: float | None) -> list[str]:
     return words
 
 
-def training_rows(history: History) -> tuple[Rows, Rows]:
+def training_rows(history: History, span: Span) -> tuple[Rows, Rows]:
     """Rows along the timelines for a training's losses, and for its snapshots."""
     last = max(int(history["step"][-1]), int(history["snapshot_step"][-1]), 1)
-    return step_rows(history["step"], last), step_rows(history["snapshot_step"], last)
+    return step_rows(history["step"], last, span), step_rows(history["snapshot_step"], last, span)
 
 
 def log_loss(stream: rr.RecordingStream, name: str, history: History, at: Rows, first: int = 0) -> None:

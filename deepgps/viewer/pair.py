@@ -22,8 +22,8 @@ from deepgps.reports.run_report import COLUMNS, read_metrics
 from deepgps.reports.table import tabulate
 from deepgps.runs.run_folder import open_run
 from deepgps.viewer.error_field import find_thinness, log_field
-from deepgps.viewer.layout import aim_eye, arrange, room_view, text_view
-from deepgps.viewer.pictures import DISTRIBUTION, log_distribution
+from deepgps.viewer.layout import aim_eye, arrange, errors_view, room_view, text_view
+from deepgps.viewer.pictures import log_distribution
 from deepgps.viewer.run import hash_run
 from deepgps.viewer.scene import LAYER_M, SCALE_COLOURS, lift, log_room, log_scale, log_strip
 from deepgps.viewer.stream import holds, put_text, save_recording
@@ -33,14 +33,11 @@ from sim.recording.format import open_truth
 
 PAIRS = "pairs"
 MIN_DIFFERENCE_M = SCALE_M[0]  # Errors that differ by less than this count as equal [m]
+SHARES = (0.0, 0.25, 0.48, 0.5, 0.52, 0.75, 1.0)
 # blue: B is better; grey: the same; orange: B is worse
 CHANGE_COLOURS = LinearSegmentedColormap.from_list(
     "change",
-    [
-        *[(0.0, "#3d6bff"), (0.25, "#2fb5ff"), (0.48, "#4a7f99")],
-        (0.5, "#59606e"),
-        *[(0.52, "#9c7350"), (0.75, "#ffa03c"), (1.0, "#ff4a2e")],
-    ],
+    list(zip(SHARES, ("#3d6bff", "#2fb5ff", "#4a7f99", "#59606e", "#9c7350", "#ffa03c", "#ff4a2e"), strict=True)),
 )
 LABELS = {-1.0: "B better by 1 m", -0.5: "10 cm", 0.0: "within 1 cm", 0.5: "10 cm", 1.0: "B worse by 1 m"}
 TABLES = (("rms_m", "median_m"), ("p95_m", "max_m"))  # Figures of each table, few enough for its width
@@ -207,27 +204,19 @@ def _log_changes(stream: rr.RecordingStream, pair: Pair) -> None:
 def _make_blueprint(pair: Pair) -> rrb.Blueprint:
     """The viewer's layout for a pair: the difference, if both runs share a floor, then both runs side by side."""
     around = ["room", "floor_plan", "scale/**"]
+
+    def view(name: str, root: str, side: Side) -> rrb.View:
+        title = f"{root.upper()}: error field of {title_of(name)}"
+        return room_view(title, [*around, f"error_field/{name}/**"], aim_eye(side.space, tilt=0.35), root)
+
     fields = [
-        rrb.Vertical(
-            *(
-                room_view(
-                    f"{root.upper()}: error field of {title_of(name)}",
-                    [*around, f"error_field/{name}/**"],
-                    aim_eye(side.space, tilt=0.35),
-                    root,
-                )
-                for root, side in pair.sides.items()
-            ),
-            name=title_of(name),
-        )
-        for name in pair.methods
+        rrb.Vertical(*(view(name, *one) for one in pair.sides.items()), name=title_of(name)) for name in pair.methods
     ]
     text = text_view("Figures", "report/pair")
     tabs = {"Difference": _change_views(pair)} if pair.same_floor else {}
     tabs["Side by side"] = rrb.Tabs(*fields)
     beside = [rrb.Horizontal(tab, text, column_shares=[5, 2], name=name) for name, tab in tabs.items()]
-    errors = rrb.Spatial2DView(name="Distribution of errors", origin=DISTRIBUTION)
-    return arrange([*beside, errors], rrb.TimePanel(state="hidden"))
+    return arrange([*beside, errors_view()], rrb.TimePanel(state="hidden"))
 
 
 def _change_views(pair: Pair) -> rrb.Container:

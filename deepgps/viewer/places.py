@@ -28,7 +28,7 @@ from deepgps.viewer.drive import camera_of
 from deepgps.viewer.error_field import draw_arrows
 from deepgps.viewer.pictures import log_views
 from deepgps.viewer.scene import LAYER_M, draw_circles, lift
-from deepgps.viewer.stream import Shapes, place_rows, send_rows, send_shapes
+from deepgps.viewer.stream import Shapes, find_span, place_rows, send_rows, send_shapes
 from sim.recording.format import Recording, Truth
 
 PLACES, OTHERS = 40, 12  # Worst places of the first method, and of each other
@@ -200,14 +200,10 @@ def log_places(stream: rr.RecordingStream, places: Sequence[Place], recording: R
     predicted = np.array([place.field.predicted[place.at] for place in places])
     away, closest = tree.query(pose[:, :2])
     around = find_nearest(tree, predicted, NEIGHBOURS)[1]
-    near = np.array(
-        [
-            one if place.look is None or place.look.near is None else place.look.near
-            for place, one in zip(places, around, strict=True)
-        ]
-    )
+    compared = [None if place.look is None else place.look.near for place in places]
+    near = np.array([other if one is None else one for one, other in zip(compared, around, strict=True)])
     shown = np.column_stack([near[:, :ANSWER_IMAGES], closest])  # Numbers of training images
-    at, taken = place_rows(len(places)), truth.pose[shown]
+    at, taken = place_rows(len(places), find_span(recording)), truth.pose[shown]
     send_shapes(stream, "world/place", at, _draw(places, pose, predicted, taken))
     modes = [np.zeros((0, 2)), *(place.look.mode[place.modes] for place in places if place.look is not None)]
     counts, radii = [len(place.modes) for place in places], [place.radii for place in places]

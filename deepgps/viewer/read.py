@@ -7,7 +7,6 @@ import numpy as np
 import pyarrow as pa
 from rerun.chunk import RrdReader
 
-from deepgps.evaluation.error_field import WorstField
 from sim.errors import InputError
 
 ROW_ID = "rerun.controls.RowId"
@@ -49,24 +48,6 @@ def read_error_table(path: Path, root: str = "world") -> pa.Table:
         raise InputError(f"{path} has no error field below {root!r}")
     columns = dict(zip(COLUMNS, np.concatenate(list(fields.values()), axis=1), strict=True))
     return pa.table({**columns, "method": [name for name, values in fields.items() for _ in values[0]]})
-
-
-def read_error_field(path: Path, method: str, root: str = "world") -> WorstField:
-    """Read a method's error field from a recording.
-
-    Args:
-        path: A ``.rrd`` file.
-        method: Name of the method in metrics.json.
-        root: As in ``read_error_table``.
-
-    Raises:
-        InputError: The file is broken, a study's recording, or lacks the method; the message lists the methods it has.
-    """
-    fields = _read_fields(path, root)
-    if method not in fields:
-        raise InputError(f"{path} has no method {method!r}; it has {', '.join(sorted(fields)) or 'none'}")
-    x, y, *predicted, error, heading = fields[method]
-    return WorstField(np.stack([x, y], axis=1), np.stack(predicted, axis=1), error, np.radians(heading))
 
 
 def read_entity(path: Path, entity: str) -> pa.Table:

@@ -44,24 +44,24 @@ from deepgps.viewer.pictures import LARGE_ENTITY, PICTURES, log_distribution, re
 from deepgps.viewer.places import find_places, log_places
 from deepgps.viewer.read import open_rrd
 from deepgps.viewer.scene import log_room, log_scale
-from deepgps.viewer.stream import drive_clock, hash_files, put_text, save_recording, send_series
+from deepgps.viewer.stream import drive_clock, find_span, hash_files, put_text, save_recording, send_series
 from sim.files.checksums import is_intact
 from sim.geometry import FreeSpace, limits
-from sim.recording.format import Recording, has_truth, is_whole, open_recording, open_truth
+from sim.recording.format import has_truth, is_whole, open_recording, open_truth
 
 READING_HINT = (
     "Point at an arrow or a dot: error (± radius of 68 %), heading → predicted x, y [m], and its place on the timeline "
     "`place`, where its image is, if it is shown in *Places*."
 )
 SLIDER_HINT = (
-    "The slider goes through places, drives and training at the same time, in 100 s; choose the timeline `place` to "
-    "step through the places, `drive_time`, `deployment` or `step` for seconds or training steps."
+    "The slider has the seconds of the drive, and goes through places and training at the same time; choose the "
+    "timeline `place` to step through the places, `deployment` or `step` for its seconds or training steps. Lines on "
+    "plans are a metre apart."
 )
 LAYERS = (
     "The panel on the left (button at the top right) switches on and off: each heading, errors above and below 10 cm, "
-    "refused ones, circles of the radii, radii by place and ellipses (as in the tab Trust), predicted yaws (arrows of "
-    "7 cm; those off by more than 5 degrees in magenta), errors that the initial map expects, floor not covered by "
-    "images, images per cell of 0.25 m."
+    "refused ones, radii by place and ellipses (as in the tab Trust), predicted yaws (arrows of 7 cm; magenta if off "
+    "by more than 5 degrees), floor not covered by images, images per cell of 0.25 m."
 )
 WITHOUT_TRUTH_NOTE = (
     "This recording has no ground truth, so there is no error field. *Drive* plays the sensor data and the "
@@ -91,8 +91,8 @@ def write_run(run: Path) -> Path:
     if drive is not None:
         method, ways = find_ways(run, drive)
         deployed = method, {name: way.title for name, way in ways.items()}
-    length_s = _find_length_s(recording)
-    blueprint = make_blueprint(space, layers, list(histories), titles, length_s, mapped, sure, deployed)
+    span = find_span(recording)
+    blueprint = make_blueprint(space, layers, list(histories), titles, span, mapped, sure, deployed)
     marks = {name: {} for name in fields}
     for number, place in enumerate(places):
         if place.field is fields[place.method]:
@@ -103,14 +103,14 @@ def write_run(run: Path) -> Path:
         log_results(stream, metrics, fields, space, driven, [READING_HINT, SLIDER_HINT, LAYERS], marks)
         log_places(stream, places, recording, truth)
         if drive is not None:
-            log_deployment(stream, method, ways, drive)
+            log_deployment(stream, method, ways, drive, span)
         log_drive(stream, recording, truth, pictures)
         log_encoders(stream, recording, truth)
         log_diagnosis(stream, run)
         if stored is not None:
             log_making(stream, stored, recording, find_true_camera(recording, truth))
         for name, history in histories.items():
-            losses, snapshots = training_rows(history)
+            losses, snapshots = training_rows(history, span)
             log_loss(stream, name, history, losses)
             log_snapshots(stream, name, driven[history["snapshot_index"]], history["snapshot"], snapshots)
         log_distribution(stream, fields)
@@ -181,14 +181,16 @@ def _write_without_truth(run: Path, path: Path) -> Path:
     reckoned = dead_reckon(recording)[:, :2]
 
     def log(stream: rr.RecordingStream) -> None:
-        clock, segment = drive_clock(recording), recording.reading[:, 0]
-        log_path(stream, "world/reckoned", segment, reckoned, (ODOMETRY_COLOUR, LEG_COLOUR), recording.time, clock)
+        segment = recording.reading[:, 0]
+        log_path(stream, "world/reckoned", segment, reckoned, (ODOMETRY_COLOUR, LEG_COLOUR), recording.time)
         distance = travel(recording.reading[:, 2:], recording.manifest.odometry).mean(axis=1)
-        send_series(stream, "drive/distance/encoder", clock(recording.time), distance, "by encoder", ODOMETRY_COLOUR)
+        send_series(
+            stream, "drive/distance/encoder", drive_clock(recording.time), distance, "by encoder", ODOMETRY_COLOUR
+        )
         log_ticks(stream, recording)
         log_images(stream, recording)
         for name, history in histories.items():
-            losses, snapshots = training_rows(history)
+            losses, snapshots = training_rows(history, find_span(recording))
             log_loss(stream, name, history, losses)
             points = history["snapshot"].astype(float)
             log_points(stream, f"map/{name}", points[-1], points, snapshots)
@@ -198,11 +200,7 @@ def _write_without_truth(run: Path, path: Path) -> Path:
 
     last = {name: history["snapshot"][-1] for name, history in histories.items()}
     others = [*sorted(run.glob("*/history.npz")), *run.glob(DIAGNOSIS), *run.glob(TRUTHLESS_METRICS)]
-    blueprint = make_blueprint_without_truth(find_pictures(recording), _find_length_s(recording), reckoned, last)
+    blueprint = make_blueprint_without_truth(find_pictures(recording), find_span(recording), reckoned, last)
     number = hash_files(run, [run / "recording" / "manifest.json", *others])
     save_recording(path, number, f"{run.name}, without truth", blueprint, log)
     return path
-
-
-def _find_length_s(recording: Recording) -> float:
-    return float(recording.time[-1] - recording.time[0])

@@ -1,4 +1,4 @@
-"""What a viewer shows of runs and studies: in a window, in a browser, or as a picture of its first tab."""
+"""What a viewer shows of runs and studies: in a window, in a browser, or as a picture of a tab."""
 
 import os
 import shlex
@@ -10,27 +10,24 @@ from io import BytesIO
 from pathlib import Path
 from subprocess import Popen
 from tempfile import TemporaryDirectory
+from typing import Any
 from urllib.parse import quote
 
-import numpy as np
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 from rerun.experimental import ViewerClient
 
-from deepgps.reports.plots import COLOURS
-from deepgps.runs.run_folder import is_study
+from deepgps.runs.run_folder import VIEWED, is_study
 from deepgps.viewer.connect import HOST, find_free_port, has_display, send_file, start_viewer, url_of, wait_for_port
-from deepgps.viewer.pair import CHANGE_COLOURS, write_pair
-from deepgps.viewer.run import find_recording, lacks_truth
-from deepgps.viewer.study import find_study
+from deepgps.viewer.read import open_rrd
 from sim.errors import InputError, WorkError
 from sim.files.atomic import write_bytes
+from sim.files.checksums import is_intact
 
 SIZE_PX = "1600x1000"
 MARK = ("Software", "deepgps view --screenshot")
 DRIVER_HINT = "--screenshot needs a Vulkan driver, such as Mesa's: apt-get install mesa-vulkan-drivers"
-PATIENCE_S, POLL_S = 600.0, 0.5
-SHOWN_SHARE = 0.6  # Share of a colour scale that a picture shows once its error field is drawn
+PATIENCE_S, POLL_S, STILLNESS_S = 600.0, 0.5, 2.0  # How long a picture must stay as it is [s]
 
 
 def view(paths: Sequence[Path]) -> None:
@@ -60,25 +57,23 @@ def serve(paths: Sequence[Path], ports: tuple[int, int], say: Callable[[str], No
             wait_for_port(port, viewer)
         if viewer.poll() is None:
             send_file(recording, url_of(data))
-            say(f"open http://{HOST}:{page}/?url={quote(url_of(data), safe='')}\npress Ctrl-C to stop")
+            address = f"{HOST}:{page}/?url={quote(url_of(data), safe='')}&theme=dark"  # the colours are made for it
+            say(f"open http://{address}\npress Ctrl-C to stop")
             viewer.wait()
 
 
-def write_screenshot(paths: Sequence[Path], out: Path) -> None:
-    """Write as PNG the first tab of what shows these folders, once its error field is drawn.
+def write_screenshot(paths: Sequence[Path], out: Path, tab: str | None) -> None:
+    """Write as PNG one tab of what shows these folders, or the first, once it is drawn.
 
-    Raises as ``find_shown`` does, InputError for a run without truth, and WorkError if the viewer is missing, has no
-    Vulkan driver, or draws no error field in time.
+    Raises as ``find_shown`` does, InputError if there is no such tab, and WorkError if the viewer is missing, has no
+    Vulkan driver, or does not finish in time.
     """
-    for folder in paths:
-        if not is_study(folder) and lacks_truth(folder):
-            raise InputError(f"{folder}: its recording has no truth, so there is no error field to take a picture of")
     recording, port = find_shown(paths), find_free_port()
     words = ["--headless", "--hide-welcome-screen", "--window-size", SIZE_PX]
     with start_viewer(port, words, DRIVER_HINT) as viewer, TemporaryDirectory(prefix="deepgps-") as folder:
         wait_for_port(port, viewer)
         send_file(recording, url_of(port))
-        picture = _take_when_drawn(viewer, url_of(port), Path(folder) / "screenshot.png")
+        picture = _take_when_drawn(viewer, url_of(port), tab, Path(folder) / "screenshot.png")
     if picture is not None:
         mark, buffer = PngInfo(), BytesIO()
         mark.add_text(*MARK)
@@ -96,6 +91,14 @@ def find_shown(paths: Sequence[Path]) -> Path:
 
     Raises InputError if a folder is no run and no finished study, its recording is truncated, or two do not compare.
     """
+    if len(paths) == 1 and not is_study(paths[0]) and is_intact(path := paths[0] / VIEWED):
+        open_rrd(path)
+        return path
+    # These import torch and matplotlib, which takes longer than the viewer needs to open.
+    from deepgps.viewer.pair import write_pair
+    from deepgps.viewer.run import find_recording
+    from deepgps.viewer.study import find_study
+
     if len(paths) != 1:
         return write_pair(paths)
     return find_study(paths[0]) if is_study(paths[0]) else find_recording(paths[0])
@@ -118,31 +121,43 @@ def choose_ports(page: int | None) -> tuple[int, int]:
     return page, page + 1
 
 
-def shows_scale(picture: np.ndarray) -> bool:
-    """Whether a picture (rows, columns, 3) has most colours of the scale of errors, or of that of their changes."""
-    there = {tuple(colour) for colour in np.unique(picture.reshape(-1, 3) // 8, axis=0)}
-    for colours in (COLOURS, CHANGE_COLOURS):
-        wanted = (255 * colours(np.linspace(0, 1, 40))[:, :3]).astype(int) // 8
-        if np.mean([tuple(colour) in there for colour in wanted]) > SHOWN_SHARE:
-            return True
-    return False
+def choose_tab(blueprint: dict[str, Any], tab: str | None) -> None:
+    """Bring a tab of a layout to the front, or leave the first there; raise InputError if there is none of the name."""
+    tabs = blueprint[f"/container/{blueprint['/viewport']['ViewportBlueprint']['root_container']}"][
+        "ContainerBlueprint"
+    ]
+    names = {_find_name(blueprint[f"/{path}"]): path for path in tabs["contents"]}
+    if tab is not None and tab.lower() not in names:
+        raise InputError(f"--tab {tab}: there is no such tab; there are {', '.join(names)}")
+    tabs["active_tab"] = names[tab.lower()] if tab else tabs["contents"][0]
 
 
-def _take_when_drawn(viewer: Popen, url: str, path: Path) -> Image.Image | None:
-    """Take a viewer's pictures until one shows a colour scale and is the same as the one before; None if it has ended.
+def _find_name(part: dict[str, Any]) -> str:
+    return str({**part.get("ContainerBlueprint", {}), **part.get("ViewBlueprint", {})}.get("display_name")).lower()
+
+
+def _take_when_drawn(viewer: Popen, url: str, tab: str | None, path: Path) -> Image.Image | None:
+    """Choose a tab once the layout is there, and take pictures until one stays for a while; None if the viewer ends.
 
     A picture that takes longer than Rerun's client waits is there a little later.
     """
-    end, client, before = time.monotonic() + PATIENCE_S, ViewerClient.connect(url), b""
+    client, before, chosen = ViewerClient.connect(url), b"", False
+    end = since = time.monotonic()
     while viewer.poll() is None:
-        with suppress(RuntimeError, OSError):
+        with suppress(RuntimeError, OSError, KeyError):
+            if not chosen:
+                layout = client.get_blueprint().blueprint
+                choose_tab(layout, tab)
+                client.set_blueprint(layout, of="recording")
+                chosen = True
             client.save_screenshot(str(path))
         with suppress(OSError):
             picture = Image.open(path).convert("RGB")
-            if picture.tobytes() == before and shows_scale(np.asarray(picture)):
+            if picture.tobytes() != before:
+                before, since = picture.tobytes(), time.monotonic()
+            elif chosen and time.monotonic() - since > STILLNESS_S:
                 return picture
-            before = picture.tobytes()
-        if time.monotonic() > end:
-            raise WorkError(f"the Rerun viewer drew no error field within {PATIENCE_S:.0f} s")
+        if time.monotonic() > end + PATIENCE_S:
+            raise WorkError(f"the Rerun viewer did not finish drawing within {PATIENCE_S:.0f} s")
         time.sleep(POLL_S)
     return None

@@ -1,8 +1,8 @@
 """Logging along timelines, and saving: atomically, without wall-clock time, and equal contents for equal runs.
 
 The timelines of a run are ``drive_time`` [s], ``step`` of training, ``making`` (stages of the initial map), ``place``,
-which ends with the worst place, ``deployment`` [s], and ``progress``, which runs from 0 to ``PROGRESS_END_S`` through
-all of these at the same time, so that its slider changes every tab. A run in progress has ``run_time`` [s] alone.
+which ends with the worst place, and ``deployment`` [s]. All of them also go through the time of the drive, so that its
+slider changes every tab. A run in progress has ``run_time`` [s] alone.
 """
 
 import hashlib
@@ -24,11 +24,10 @@ from sim.files.checksums import check_sum, drop_sum, sha256, write_sum
 from sim.recording.format import Recording
 
 DRIVE_TIME, STEP, MAP_STAGE, PLACE, DEPLOYMENT = "drive_time", "step", "making", "place", "deployment"
-PROGRESS = "progress"
 RUN_TIME = "run_time"
-PROGRESS_END_S = 100.0  # Seconds in which the viewer plays everything; a second is one per cent
 Rows = Sequence[rr.TimeColumn]  # Times of some rows, on one or several timelines
 Shapes = dict[str, tuple[Mapping[str, Any], Sequence[int], float]]  # By entity: components, colour, radius [m]
+Span = tuple[float, float]  # Times of the drive [s] between which something else is spread
 Clock = Callable[[np.ndarray], Rows]  # Makes rows at times of a drive (n,) [s]
 
 
@@ -103,15 +102,14 @@ def send_series(
     stream.send_columns(path, at, rr.Scalars.columns(scalars=np.asarray(values, float)))
 
 
-def drive_clock(recording: Recording, timeline: str = DRIVE_TIME) -> Clock:
+def find_span(recording: Recording) -> Span:
+    """First and last time of a drive [s]."""
+    return float(recording.time[0]), float(recording.time[-1])
+
+
+def drive_clock(time: np.ndarray) -> Rows:
     """The clock of a finished drive."""
-    start, end = recording.time[0], recording.time[-1]
-
-    def make_rows(time: np.ndarray) -> Rows:
-        share = (time - start) / max(end - start, 1e-9)
-        return _with_progress(rr.TimeColumn(timeline, duration=time), PROGRESS_END_S * share)
-
-    return make_rows
+    return [rr.TimeColumn(DRIVE_TIME, duration=time)]
 
 
 def run_clock(time: np.ndarray) -> Rows:
@@ -119,34 +117,33 @@ def run_clock(time: np.ndarray) -> Rows:
     return [rr.TimeColumn(RUN_TIME, duration=time)]
 
 
-def step_rows(step: np.ndarray, last: int) -> Rows:
+def deployment_clock(drive: Recording, span: Span) -> Clock:
+    """The clock of the deployment drive."""
+    start, end = find_span(drive)
+    return lambda time: _spread(rr.TimeColumn(DEPLOYMENT, duration=time), (time - start) / max(end - start, 1e-9), span)
+
+
+def step_rows(step: np.ndarray, last: int, span: Span) -> Rows:
     """Rows at steps of a training (n,) with so many."""
-    return _with_progress(rr.TimeColumn(STEP, sequence=step), PROGRESS_END_S * np.asarray(step) / last)
+    return _spread(rr.TimeColumn(STEP, sequence=step), np.asarray(step) / last, span)
 
 
-def making_rows(stage: int, last: int) -> Rows:
+def making_rows(stage: int, last: int, span: Span) -> Rows:
     """The row of one stage of a map's making, numbered from 0 to ``last``."""
-    return _with_progress(rr.TimeColumn(MAP_STAGE, sequence=[stage]), [PROGRESS_END_S * (stage / max(last, 1))])
+    return _spread(rr.TimeColumn(MAP_STAGE, sequence=[stage]), np.array([stage / max(last, 1)]), span)
 
 
-def place_rows(count: int) -> Rows:
+def place_rows(count: int, span: Span) -> Rows:
     """Rows for some places, the worst first; it is at the end of both timelines, where the viewer opens them."""
     place = np.arange(count, 0, -1)  # not from -1 down: at negative times, the viewer shows no pictures
-    return _with_progress(rr.TimeColumn(PLACE, sequence=place), PROGRESS_END_S * (place - 1) / max(count - 1, 1))
+    return _spread(rr.TimeColumn(PLACE, sequence=place), (place - 1) / max(count - 1, 1), span)
 
 
-def until_now(timelines: Sequence[str] = (DRIVE_TIME, PROGRESS)) -> list[rrb.VisibleTimeRange]:
-    """Show what was logged from the start to the slider."""
-    return [_until_now(name, rr.TimeRangeBoundary.infinite()) for name in timelines]
-
-
-def lately(seconds: float, drive_s: float) -> list[rrb.VisibleTimeRange]:
-    """Show the last seconds [s] of the drive, also on the timeline ``progress``, on which the drive is rescaled."""
-    relative, share = rr.TimeRangeBoundary.cursor_relative, seconds / max(drive_s, seconds)
-    return [
-        _until_now(DRIVE_TIME, relative(seconds=-seconds)),
-        _until_now(PROGRESS, relative(seconds=-PROGRESS_END_S * share)),
-    ]
+def show_until_now(timeline: str = DRIVE_TIME, seconds: float | None = None) -> list[rrb.VisibleTimeRange]:
+    """Show what was logged from the start to the slider, or in the last seconds [s]."""
+    boundary = rr.TimeRangeBoundary
+    start = boundary.infinite() if seconds is None else boundary.cursor_relative(seconds=-seconds)
+    return [rrb.VisibleTimeRange(timeline, start=start, end=boundary.cursor_relative(seconds=0))]
 
 
 def save_recording(
@@ -188,9 +185,5 @@ def holds(path: Path, number: str) -> bool:
     return False
 
 
-def _with_progress(column: rr.TimeColumn, seconds: Any) -> Rows:
-    return [column, rr.TimeColumn(PROGRESS, duration=seconds)]
-
-
-def _until_now(timeline: str, start: rr.TimeRangeBoundary) -> rrb.VisibleTimeRange:
-    return rrb.VisibleTimeRange(timeline, start=start, end=rr.TimeRangeBoundary.cursor_relative(seconds=0))
+def _spread(column: rr.TimeColumn, share: np.ndarray, span: Span) -> Rows:
+    return [column, rr.TimeColumn(DRIVE_TIME, duration=span[0] + (span[1] - span[0]) * share)]

@@ -26,7 +26,7 @@ from deepgps.studies.catalog import REPORTS
 from deepgps.studies.study import Study
 from deepgps.studies.table import Row, find_methods, read_rows, read_setting, split_by, varied_in
 from deepgps.viewer.error_field import NO_PLACES, log_field
-from deepgps.viewer.layout import LOGARITHM, arrange, look, series_view, text_view
+from deepgps.viewer.layout import LOGARITHM, NIGHT, arrange, look, series_view, text_view
 from deepgps.viewer.read import open_rrd
 from deepgps.viewer.scene import STILL_BEHAVIOUR, lift, log_floor, log_scale
 from deepgps.viewer.sliders import RUN, Slider, Step, find_sliders
@@ -164,11 +164,11 @@ def _make_blueprint(slider: Slider, methods: Sequence[str], figures: Sequence[st
     """The viewer's layout, which opens with a slider and the error fields of all methods side by side."""
     pictures = [rrb.Spatial2DView(name=name.replace("_", " "), origin=f"report/figures/{name}") for name in figures]
     fields = rrb.Grid(*_field_views(methods, frame), grid_columns=1 if len(methods) == 1 else 2)
-    shown = rrb.Vertical(fields, rrb.Horizontal(*_plots()), row_shares=[5, 2])
+    curves = [series_view(f"{title} along the slider: {LOGARITHM}", f"curve/{name}") for name, title in CURVES.items()]
+    shown = rrb.Vertical(fields, rrb.Horizontal(*curves), row_shares=[5, 2])
     texts = rrb.Vertical(_here(), text_view("Sliders", "report/sliders"))
     tabs = {
         "Error fields": (shown, texts),
-        "Curves": (rrb.Vertical(*_plots()), _here()),
         **({"Figures": (rrb.Tabs(*pictures), _here())} if figures else {}),
         "Report": (text_view("Table", "report/table"), _here()),
     }
@@ -182,10 +182,6 @@ def _make_blueprint(slider: Slider, methods: Sequence[str], figures: Sequence[st
 
 def _here() -> rrb.TextDocumentView:
     return text_view("Here", "report/here")
-
-
-def _plots() -> list[rrb.TimeSeriesView]:
-    return [series_view(f"{title} along the slider: {LOGARITHM}", f"curve/{name}") for name, title in CURVES.items()]
 
 
 def _field_views(methods: Sequence[str], frame: Frame) -> list[rrb.Spatial3DView]:
@@ -204,6 +200,7 @@ def _field_views(methods: Sequence[str], frame: Frame) -> list[rrb.Spatial3DView
             ],
             eye_controls=look((0.0, 0.0, distance), (0.0, 0.0, 0.0)),
             line_grid=False,
+            background=NIGHT,
             overrides=dict.fromkeys(backdrop, STILL_BEHAVIOUR),
         )
         for method in methods

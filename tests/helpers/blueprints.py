@@ -5,9 +5,13 @@ from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+import pyarrow.compute as pc
 from rerun.chunk import RrdReader
 
+from deepgps.evaluation.error_field import WorstField
 from deepgps.viewer.connect import find_viewer
+from deepgps.viewer.read import COLUMNS, read_error_table
 
 OVERRIDES = "/ViewContents/overrides/"
 
@@ -18,6 +22,14 @@ def count_rows(path: Path) -> Counter[str]:
     for chunk in RrdReader(path).stream():
         counts[chunk.entity_path] += chunk.num_rows if chunk.timeline_names else 0
     return counts
+
+
+def read_error_field(path: Path, method: str, root: str = "world") -> WorstField:
+    """A method's error field in a recording."""
+    rows = read_error_table(path, root).filter(pc.field("method") == method)
+    columns = (rows[name].to_numpy() for name in COLUMNS)
+    x, y, *predicted, error, heading = columns
+    return WorstField(np.stack([x, y], axis=1), np.stack(predicted, axis=1), error, np.radians(heading))
 
 
 def find_missing(path: Path) -> list[str]:

@@ -90,7 +90,8 @@ def wait_until(condition: Callable[[], object], process: Popen[str], awaited: st
 
 def drop_progress(said: str) -> list[str]:
     """The lines on standard error but those of the progress."""
-    return [line for line in said.splitlines() if not re.fullmatch(r"[\w, +:]+: [\d,]+ of [\d,]+ \(\d+ %\).*", line)]
+    shown = r"[\w, +:]+: [\d,]+ of [\d,]+ \(\d+ %\).*|drives: .* idle cores"
+    return [line for line in said.splitlines() if not re.fullmatch(shown, line)]
 
 
 def assert_one_clear_line(done: CompletedProcess[str], code: int, message: str, folder: Path) -> None:

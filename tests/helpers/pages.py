@@ -30,7 +30,7 @@ PAGES = [
     *(page for page in sorted((ROOT / "docs").rglob("*.md")) if not str(page.relative_to(ROOT)).startswith(GENERATED)),
 ]
 BLOCK = re.compile(r"^( *)```(\S+)\n(.*?)^\1```$", re.MULTILINE | re.DOTALL)
-INCLUDED_FILE = re.compile(r"^```\{literalinclude\} (\S+\.xml)\n(?::.*\n)*", re.MULTILINE)
+EXAMPLE = re.compile(r"^<!-- generated: code \S+\.py .*?^<!-- end -->", re.MULTILINE | re.DOTALL)
 NAMED_FILE = re.compile(r"(?:#|<!--) (\S+\.(?:yaml|xml|py))(?: -->)?\n")
 STAGES = ("run", "collect", "train", "evaluate")
 IMPORTED_RECORDING = "runs/my_drive"
@@ -67,9 +67,8 @@ class Block:
 
 
 def find_blocks(page: Path) -> Iterator[Block]:
-    """The fenced blocks of a page and the XML files that it includes, without other directives of Sphinx."""
-    written = page.read_text(encoding="utf-8")
-    text = INCLUDED_FILE.sub(lambda found: f"```xml\n{(page.parent / found[1]).read_text()}", written)
+    """The fenced blocks of a page, without examples that are files of their own, and without directives of Sphinx."""
+    text = EXAMPLE.sub(lambda found: "\n" * found[0].count("\n"), page.read_text(encoding="utf-8"))
     for found in BLOCK.finditer(text):
         if not found[2].startswith("{"):
             yield Block(page, text.count("\n", 0, found.start()) + 1, found[2], dedent(found[3]))

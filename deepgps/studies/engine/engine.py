@@ -12,6 +12,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Literal
 
+from deepgps.config.methods import find_method
 from deepgps.config.plain_yaml import read_yaml
 from deepgps.config.scenario import Scenario
 from deepgps.diagnosis.store import read_diagnosis
@@ -29,8 +30,13 @@ from deepgps.terminal.progress import Report
 from sim.errors import InputError, shorten
 from sim.files.atomic import sweep
 from sim.files.checksums import write_lines
+from sim.processes import usable_cores
 from sim.recording.format import RECORDING, WORK_PATH
 
+IMAGE_S, LEARN_S, STEP_S, RUN_S = 0.012, 0.004, 0.02, 5.0
+"""Core time on a slow machine: of driving to an image and drawing it, of learning from it by one method, of a step of a
+training, and of all else in a run."""
+FASTEST, TYPICAL_FLOOR_M2 = 3, 12.0  # A slow machine's time over a fast one's; floor that a test grid covers
 _HASH = "[0-9a-f]{8}"
 
 
@@ -133,6 +139,27 @@ def find_missing(study: Study, plans: Sequence[Plan], place: Path) -> list[Plan]
         if (read_diagnosis(run) if REPORTS[study.report].gather else read_measured(run)) is None:
             missing.append(plan)
     return missing
+
+
+def foresee(study: Study, plans: Sequence[Plan], undriven: Sequence[Scenario], folder: Path) -> str:
+    """What a study lacks, and how long that takes from a fast machine to a slow one; nothing if it lacks nothing."""
+    missing, cores = find_missing(study, plans, folder), usable_cores()
+    images = sum(map(_count_images, undriven))
+    diagnosed = REPORTS[study.report].gather is not None
+    learning = sum(RUN_S if diagnosed else _foresee_learning(plan.scenario) for plan in missing)
+    minutes = (IMAGE_S * images + learning) / min(cores, max(len(missing), 1)) / 60
+    made = f"drives: {len(undriven)} (about {images:,} images with tests); runs: {len(missing)}"
+    return f"{made}; {minutes / FASTEST:.0f} to {minutes + 1:.0f} min on {cores} idle cores" if missing else ""
+
+
+def _count_images(scenario: Scenario) -> int:
+    grid, drive = scenario.grid, scenario.drive.samples + scenario.deployment.drive_samples
+    return round(drive + (grid.held_out or TYPICAL_FLOOR_M2 / grid.spacing_m**2 * grid.headings))
+
+
+def _foresee_learning(scenario: Scenario) -> float:
+    trained = [find_method(name).in_steps for name in scenario.methods]
+    return RUN_S + sum(trained) * STEP_S * scenario.learn.train.steps + len(trained) * LEARN_S * scenario.drive.samples
 
 
 def list_undriven(study: Study, plans: Sequence[Plan], folder: Path, fresh: bool) -> list[Scenario]:

@@ -2,6 +2,8 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from deepgps.config.methods import title_of
 from deepgps.studies.reports.record import (
     ACCEPTED_ERRORS,
@@ -16,8 +18,16 @@ from deepgps.studies.reports.record import (
     Table,
     Target,
 )
-from deepgps.studies.table import Row, choices, describe, mean, split_by, split_by_label, varied_in
+from deepgps.studies.reports.render import add_base
+from deepgps.studies.table import CASE, Row, choices, describe, is_seed, mean, split_by, split_by_label, varied_in
 
+NO_CHANGE = "no change"  # A case with the settings that most cases share
+CHANCE = 0.975  # Quantile of an interval of 95 %
+CASES = Table(CASE, "error_m error_95 added_m added_95 median_m accepted runs", section="title")
+CASES_NOTE = (
+    "Error: RMS of the images that a method accepts, or of all where it accepts none, mean over seeds with its "
+    "interval of 95 %. Added: by how much it is more than that of the first case with the same seed."
+)
 COMPARE = Table(
     f"{CHOICES} method",
     f"runs samples distance_m {ERRORS} rms_m:max paper_rms_m paper_bound_m relative_rms {ACCEPTED_ERRORS} "
@@ -32,6 +42,11 @@ TURNED_NOTE = (
     "Turned: RMS distance from their mean of the predictions for one test image turned by every whole number of "
     "sectors; unlike the spread over headings, it excludes the effects of rendering."
 )
+WORDS = "filled: RMS of accepted, open: median of all"
+OF_CASES = {
+    "errors": Dots(CASE, marks=(("", "error_m", "median_m"),), words=WORDS),
+    "error_fields": Fields(f"{CASE} method"),
+}
 PICTURES = {"errors": Dots(f"{CHOICES} method"), "error_fields": Fields(f"{CHOICES} method")}
 NETWORK, SHIFT = "learn.network.architecture", "learn.train.shift"
 STRATEGY, SAMPLES = "drive.strategy", "drive.samples"
@@ -40,6 +55,64 @@ AXES = {"encoder.step_noise": "noise w per gap between readings", SAMPLES: "trai
 PAPER_SHARE = {"encoder.step_noise": 0.02}
 PAPER_RMS: dict[str, dict[float, float]] = {SAMPLES: {1000: 0.04}}
 KNEE = 1.25
+
+
+def find_cases(rows: Sequence[Row], varied: Sequence[str]) -> list[Row]:
+    """Rows with the case's name, its error and what it adds to the first case's [m], and intervals as text [cm]."""
+    named = [
+        {
+            **row,
+            CASE: name,
+            "title": title_of(row["method"]),
+            "error_m": row["rms_m"] if row["rms_accepted_m"] is None else row["rms_accepted_m"],
+        }
+        for row, name in zip(rows, name_cases(rows, varied), strict=True)
+    ]
+    same = ["method", *(name for name in named[0] if is_seed(name))]
+    based = add_base(named, {CASE: named[0][CASE]}, same, "error_m")
+    for row in based:
+        first = row[CASE] == named[0][CASE] or row["base_error_m"] is None
+        row["added_m"] = None if first else row["error_m"] - row["base_error_m"]
+    for group in split_by_label(based, lambda row: (row[CASE], row["method"])).values():
+        found = {
+            f"{name}_95": write_interval([row[f"{name}_m"] for row in group], least)
+            for name, least in (("error", 0.0), ("added", -np.inf))
+        }
+        for row in group:
+            row.update(found)
+    return based
+
+
+def name_cases(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
+    """The name of each row's case: its own, or its settings without those that the first and another case share."""
+    names = [name for name in varied if name != CASE and not is_seed(name)]
+    first, points = rows[0], {tuple(row[name] for name in names) for row in rows}
+    usual = {name for place, name in enumerate(names) if sum(point[place] == first[name] for point in points) > 1}
+    told = ([name for name in names if name not in usual or row[name] != first[name]] for row in rows)
+    return [row.get(CASE) or (describe(row, some) if some else NO_CHANGE) for row, some in zip(rows, told, strict=True)]
+
+
+def write_interval(values: Sequence[float | None], least: float) -> str | None:
+    """The interval of 95 % of a mean, which cannot be below ``least`` [cm]; None: fewer than two values."""
+    from scipy.stats import t  # here, since a study can be checked without it
+
+    known = 100 * np.array([value for value in values if value is not None])
+    if len(known) < 2:
+        return None
+    half = t.ppf(CHANCE, len(known) - 1) * known.std(ddof=1) / len(known) ** 0.5
+    return f"{max(known.mean() - half, least):.2f} to {known.mean() + half:.2f}"
+
+
+def rank_cases(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
+    """A sentence for each method: the cases by what they add to the first one's error, most first."""
+    added = [row for row in rows if row["added_m"] is not None]
+    return [
+        f"**What adds most to {rows[0][CASE]}, {title}:** "
+        + ", ".join(f"{case} {100 * one:+.2f}" for case, one in sorted(means.items(), key=lambda pair: -pair[1]))
+        + " cm."
+        for title, group in split_by(added, "title").items()
+        for means in [{case: mean(some, "added_m") for case, some in split_by(group, CASE).items()}]
+    ]
 
 
 def find_images(rows: Sequence[Row], varied: Sequence[str]) -> list[Row]:
@@ -136,7 +209,7 @@ _CURVES = Curves(
 )
 REPORTS = {
     "plain": StudyReport((Table(f"{VARIED_SETTINGS} method", f"{ERRORS} {ACCEPTED_ERRORS}"),)),
-    "compare": StudyReport((COMPARE,), NOTE, pictures=PICTURES),
+    "compare": StudyReport((CASES,), f"{GRID}{CASES_NOTE}", find_cases, rank_cases, pictures=OF_CASES),
     "networks": StudyReport(
         (COMPARE,),
         f"{NOTE} {TURNED_NOTE}",

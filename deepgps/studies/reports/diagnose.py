@@ -224,10 +224,7 @@ def _list_targets() -> list[Target]:
 
 
 _SINGLE_FAULTS = Table(
-    "set",
-    f"runs {' '.join(FAULTS)} none too_small",
-    {"kind": "recording", "faults": (0, 1)},
-    title="What was found",
+    "set", f"runs {' '.join(FAULTS)} none too_small", {"kind": "recording", "faults": (0, 1)}, title="What was found"
 )
 _PAIRS = Table(
     "set found missed_or_wrong",
@@ -261,5 +258,5 @@ REPORTS = {
         draw_runs=draw_runs,
         gather=gather_diagnoses,
         fixes=("drive.samples",),
-    ),
+    )
 }

@@ -206,9 +206,7 @@ _WORLDS = Table(
     f"{VARIED_SETTINGS} method", "rms_m median_m rms_m/base median_m/base map_rms_m misplaced said turned seen"
 )
 _WRONG_MAPS = Table(
-    f"{NOISE} method",
-    "maps wrong said_folded said_turned said_undecided wrong_unsaid right_said_wrong",
-    {"maps": True},
+    f"{NOISE} method", "maps wrong said_folded said_turned said_undecided wrong_unsaid right_said_wrong", {"maps": True}
 )
 _MAP = "map_expected_rms_m map_nees"
 REPORTS = {

@@ -19,7 +19,7 @@ from deepgps.studies.plan import Plan
 from deepgps.studies.reports.pictures import draw
 from deepgps.studies.reports.render import measure, prepare, write_blocks
 from deepgps.studies.study import Study
-from deepgps.studies.table import Row, gather, write_table
+from deepgps.studies.table import CASE, Row, gather, write_table
 from sim.errors import InputError
 from sim.files.atomic import write_bytes, write_text
 from sim.files.checksums import sha256
@@ -131,7 +131,8 @@ def write_report(study: Study, plans: Sequence[Plan], failures: Mapping[str, str
 def describe_doubts(metrics: Mapping[str, Mapping[str, Any]], rows: Sequence[Row], varied: Sequence[str]) -> str:
     """What runs say against their own results, by their names and what varies, at most ``MAX_DOUBTS`` of them."""
     found = {run: sentences for run, one in metrics.items() if "methods" in one and (sentences := judge_run(one))}
-    case = {row["run"]: ", ".join(f"{name} {row[name]}" for name in varied) for row in rows}
+    names = {row["run"]: [one for one in varied if one in {CASE, "seed"}] if row.get(CASE) else varied for row in rows}
+    case = {row["run"]: ", ".join(f"{name} {row[name]}" for name in names[row["run"]]) for row in rows}
     lines = [f"- `{run}` ({case[run]}): {' '.join(found[run])}" for run in list(found)[:MAX_DOUBTS]]
     lines += [f"- and {len(found) - MAX_DOUBTS} more"] if len(found) > MAX_DOUBTS else []
     head = f"Runs that doubt a result of theirs: {len(found) or 'none'} of {len(metrics)}."

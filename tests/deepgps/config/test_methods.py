@@ -1,13 +1,17 @@
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
+from scipy.spatial.distance import pdist
 
 from deepgps.config.learning import LearnSettings
-from deepgps.config.methods import METHODS
+from deepgps.config.methods import METHODS, colour_of
 from deepgps.config.scenario import load_scenario
 from deepgps.methods.fit import fit_method
 from deepgps.positioner.stored_positioner import load_positioner
+from deepgps.reports.plots import colour_on_dark
 from deepgps.terminal.progress import ignore
 from sim.errors import InputError
 from sim.recording.format import open_recording
@@ -20,6 +24,13 @@ IMAGES = sorted(name for name, method in METHODS.items() if method.observes in {
 def test_a_method_that_does_not_exist_is_refused_with_those_that_do():
     with pytest.raises(InputError, match=r"methods 'posent': must be 'registration', .* or 'pca_knn'"):
         load_scenario("tiny", {"methods": ["deepgps", "posent"]})
+
+
+def test_no_two_methods_are_alike_in_colour_on_paper_or_on_the_screen():
+    for shown in (lambda name: tuple(round(255 * part) for part in to_rgb(colour_of(name))), colour_on_dark):
+        colours = np.array([[shown(name)] for name in METHODS], np.float32) / 255
+        lab = cv2.cvtColor(colours, cv2.COLOR_RGB2LAB)[:, 0]
+        assert pdist(lab).min() > 20.0  # of some hundred from black to white; a just noticeable difference is 2
 
 
 @pytest.mark.parametrize(

@@ -92,7 +92,7 @@ def test_segments_that_noise_does_not_explain_are_counted_only_where_there_are_s
         counted = {**distances, "segments_wrong": wrong, "wrong_doubted": found}
         text = " ".join(describe({**metrics, "distances": counted}))
         assert "RMS error of 2.00 cm; theory predicts 1.00 cm." in text
-        assert ("3 segments have larger errors" in text and "the wheels reveals 2." in text) == said
+        assert ("Of them, 3 have larger errors" in text and "on 2 of these the wheels disagree." in text) == said
 
 
 def test_words_are_those_of_what_was_tested(metrics: dict) -> None:
@@ -173,7 +173,7 @@ def test_what_is_accepted_and_what_a_map_expects_are_told(metrics: dict) -> None
     said = [sentence for sentence in describe(metrics) if sentence not in before]
     assert len(said) == 4
     for part in (
-        "Accepted images (places): DeepGPS 98.1 % (99.4 %); mine 98.1 % (99.4 %).",
+        "Accepted images (test positions): DeepGPS 98.1 % (99.4 %); mine 98.1 % (99.4 %).",
         "Accepted images within their 68 % radius (95 %): DeepGPS 66 % (94 %); mine 66 % (94 %).",
         "RMS error of 0.28 cm",
         "of the deployment drive [cm]: mine 5.0 (2.0), of the 98.1 % accepted 1.1 (1.1).",

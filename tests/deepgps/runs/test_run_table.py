@@ -9,7 +9,7 @@ import pytest
 
 from deepgps.config.scenario import Scenario, load_scenario
 from deepgps.runs.run_folder import TRUTHLESS_METRICS, claim, default_folder, describe_work, list_runs
-from deepgps.runs.run_table import compare_with_latest, list_differences, write_age
+from deepgps.runs.run_table import compare_with_latest, list_differences, measure_disk, write_age
 from sim.files.checksums import write_json
 from tests.helpers.command import deepgps_here
 
@@ -33,7 +33,8 @@ def test_runs_are_listed_by_what_they_change(tmp_path: Path):
     ]
     done = deepgps_here("runs", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    heading, *lines = done.stdout.splitlines()
+    heading, *lines, disk = done.stdout.splitlines()
+    assert " in all; " in disk
     assert [line.split()[0] for line in lines] == [f"tiny/{name}" for name in names]
     assert [line[heading.index("age") :].split("  ")[0] for line in lines] == ["2 h", "2 min", "0 s"]
     errors = [line[heading.index("RMS") : heading.index("differs")].strip() for line in lines]
@@ -61,7 +62,7 @@ def test_a_run_without_truth_is_listed_as_such_with_the_time_of_its_figures(tmp_
     write_json(tmp_path / "runs" / "tiny" / name / TRUTHLESS_METRICS, {"methods": {}})
     done = deepgps_here("runs", cwd=tmp_path)
     line = done.stdout.splitlines()[1]
-    assert [cell for cell in line.split("  ") if cell][1:3] == ["0 s", "no truth"]
+    assert [cell for cell in line.split("  ") if cell][1:4:2] == ["0 s", "no truth"]
     assert describe_work(tmp_path / "runs" / "tiny" / name).endswith(", measured")
 
 
@@ -71,7 +72,7 @@ def test_what_cannot_be_read_is_said_and_the_others_are_listed(tmp_path: Path):
     (broken / "scenario.yaml").write_text("nonsense: 1")
     done = deepgps_here("runs", "runs/tiny", cwd=tmp_path)
     assert done.returncode == 0
-    assert len(done.stdout.splitlines()) == 3
+    assert len(done.stdout.splitlines()) == 4
     assert "cannot be read: " in done.stdout
 
 
@@ -81,7 +82,7 @@ def test_a_run_with_damaged_figures_is_listed_as_such(metrics: str, tmp_path: Pa
     (tmp_path / "runs" / "tiny" / names[1] / "metrics.json").write_text(metrics)
     done = deepgps_here("runs", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    _, whole, damaged = done.stdout.splitlines()
+    _, whole, damaged, _ = done.stdout.splitlines()
     assert "Nearest neighbour 4.1 (2.0)" in whole
     assert damaged.startswith(f"tiny/{names[1]}")
     assert damaged.endswith("metrics.json is damaged: it does not list the errors of methods")
@@ -91,6 +92,14 @@ def test_a_run_with_damaged_figures_is_listed_as_such(metrics: str, tmp_path: Pa
 def test_nothing_to_list(folder, says, tmp_path):
     done = deepgps_here("runs", folder, cwd=tmp_path)
     assert (done.returncode, says in done.stderr) == (2, True)
+
+
+def test_a_file_with_two_names_takes_its_disk_once(tmp_path):
+    (tmp_path / "drive").mkdir()
+    (tmp_path / "drive" / "images.npy").write_bytes(bytes(1000))
+    (tmp_path / "shared.npy").hardlink_to(tmp_path / "drive" / "images.npy")
+    (tmp_path / "own.npy").write_bytes(bytes(20))
+    assert measure_disk(tmp_path) == 1020
 
 
 def test_a_folder_with_the_name_of_a_file_is_no_run(tmp_path):

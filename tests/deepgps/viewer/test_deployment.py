@@ -11,10 +11,10 @@ from deepgps.reports.plots import colours_of
 from deepgps.terminal.progress import ignore
 from deepgps.viewer.deployment import COLOURS
 from deepgps.viewer.error_field import REFUSED_RGBA
-from deepgps.viewer.read import read_entity, read_error_field
+from deepgps.viewer.read import read_entity
 from deepgps.viewer.run import find_recording
 from deepgps.viewer.stream import DEPLOYMENT
-from tests.helpers.blueprints import count_rows, find_missing
+from tests.helpers.blueprints import count_rows, find_missing, read_error_field
 
 
 def test_the_errors_along_the_drive_are_those_of_the_track(finished_run: Path, tmp_path: Path) -> None:

@@ -15,12 +15,12 @@ import pytest
 from PIL import Image
 
 from deepgps.evaluation.error_field import read_all_headings, split_by_acceptance
-from deepgps.reports.plots import COLOURS, colours_of
+from deepgps.reports.plots import colours_of
 from deepgps.runs.run_folder import VIEWED
 from deepgps.viewer import connect
 from deepgps.viewer.connect import HOST, open_viewer, start_viewer, wait_for_port
 from deepgps.viewer.run import write_run
-from deepgps.viewer.show import choose_ports, serve, shows_scale
+from deepgps.viewer.show import choose_ports, choose_tab, serve
 from sim.errors import InputError, WorkError
 from tests.helpers.command import deepgps_here, read_line, started
 from tests.helpers.synthetic_run import write_synthetic_run
@@ -45,7 +45,7 @@ def test_a_page_and_its_data_are_for_this_machine_alone_and_end_with_what_serves
 
     def look(said: str) -> None:
         address = said.splitlines()[0].removeprefix("open ")
-        assert address == f"http://{HOST}:{page}/?url=rerun%2Bhttp%3A%2F%2F127.0.0.1%3A{page + 1}%2Fproxy"
+        assert address == f"http://{HOST}:{page}/?url=rerun%2Bhttp%3A%2F%2F127.0.0.1%3A{page + 1}%2Fproxy&theme=dark"
         assert listening(os.getpid()) - before == {(HOST, page), (HOST, page + 1)}
         with urlopen(address, timeout=30) as answer:
             assert answer.status == 200 and b"re_viewer" in answer.read()
@@ -128,6 +128,7 @@ def test_what_is_not_possible_is_one_clear_line(run: Path, tmp_path: Path, monke
             ),
             (2, (run, "--web", "--port", str(int(port) - 1)), f"port {port} is not available"),
             (2, (run, "--port", "9090"), "--port needs --web"),
+            (2, (run, "--tab", "drive"), "--tab needs --screenshot"),
             (2, (nothing, "--web"), f"{nothing} is no run folder"),
             (2, (cut.parent, "--web"), "run.rrd is truncated or no recording"),
             (2, (run, "--screenshot", mine), "mine.png exists, and deepgps did not write it"),
@@ -141,12 +142,19 @@ def test_what_is_not_possible_is_one_clear_line(run: Path, tmp_path: Path, monke
             choose_ports(number)
 
 
-def test_a_picture_counts_as_drawn_once_it_shows_a_scale() -> None:
-    strip = (255 * COLOURS(np.linspace(0, 1, 400))[None, :, :3]).astype(np.uint8)
-    picture = np.full((60, 400, 3), 13, np.uint8)
-    assert not shows_scale(picture)
-    picture[30:32] = strip
-    assert shows_scale(picture)
+def test_any_tab_is_brought_to_the_front_and_an_unknown_one_is_refused_with_those_there_are() -> None:
+    tabs = {"contents": ["container/1", "view/2"], "active_tab": "container/1"}
+    layout = {
+        "/viewport": {"ViewportBlueprint": {"root_container": "0"}},
+        "/container/0": {"ContainerBlueprint": tabs},
+        "/container/1": {"ContainerBlueprint": {"display_name": "Error field"}},
+        "/view/2": {"ViewBlueprint": {"display_name": "Distribution of errors"}},
+    }
+    for name, front in (("distribution of errors", "view/2"), ("Error field", "container/1"), (None, "container/1")):
+        choose_tab(layout, name)
+        assert tabs["active_tab"] == front
+    with pytest.raises(InputError, match="--tab drive: there is no such tab; there are error field, distribution of e"):
+        choose_tab(layout, "drive")
 
 
 @pytest.mark.slow

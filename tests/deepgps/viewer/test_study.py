@@ -18,7 +18,7 @@ from deepgps.studies.study import load_study
 from deepgps.studies.table import gather, write_table
 from deepgps.viewer import study as viewer
 from deepgps.viewer.error_field import PARTS, REFUSED_PART
-from deepgps.viewer.read import read_entity, read_error_field, read_error_table
+from deepgps.viewer.read import read_entity, read_error_table
 from deepgps.viewer.show import view
 from deepgps.viewer.sliders import Slider, Step, find_sliders
 from deepgps.viewer.study import STUDY as STUDY_RRD
@@ -118,9 +118,8 @@ def test_each_place_of_each_slider_shows_the_error_field_of_its_run(study, metho
 
 def test_the_error_fields_of_many_runs_are_not_read_back_as_one(study):
     path = study[0] / STUDY_RRD
-    for words in ((read_error_table, path), (read_error_field, path, "deepgps")):
-        with pytest.raises(InputError, match="has error fields of several runs; read_entity"):
-            words[0](*words[1:])  # pyright: ignore
+    with pytest.raises(InputError, match="has error fields of several runs; read_entity"):
+        read_error_table(path)
     assert LINE in read_entity(path, f"world/error_field/deepgps/worst/{PARTS[0]}/arrows").column_names
 
 

@@ -15,9 +15,10 @@ from deepgps.studies.reports.pictures import draw_fields
 from deepgps.studies.reports.record import Fields
 from deepgps.studies.study import load_study
 from deepgps.terminal.progress import ignore
-from deepgps.viewer.read import open_rrd, read_error_field
+from deepgps.viewer.read import open_rrd
 from sim.errors import InputError
 from sim.files.checksums import read_json
+from tests.helpers.blueprints import read_error_field
 
 SHORT_TRAINING = ("learn.train.steps=20", "learn.train.segments=4", "learn.network.width=16", "learn.fold.restarts=0")
 LANDMARKS = ("landmarks.count=40", "landmarks.segments=25", "landmarks.reach_m=1.2", "drive.spacing_m=0.05")

@@ -61,6 +61,33 @@ def test_rooms_and_seeds_repeat_and_all_else_is_compared() -> None:
     assert values == pytest.approx({"travel_ratio": 25.0, "samples_ratio": 2.0, "way_ratio": 20.0})
 
 
+SLIP = "encoder.slip_per_m"
+CASES = [("none", 0.0, 0.02), ("carpet", 0.02, 0.03), ("rug", 0.05, 0.09)]
+
+
+@given(st.lists(st.floats(-0.01, 0.01), min_size=2, max_size=6))
+def test_cases_are_compared_with_the_first_one_of_the_same_seed_and_ranked(luck: list[float]) -> None:
+    rows = [
+        make_row(rms + one, rms_accepted_m=rms + one, case=name, **{SLIP: slip}) | {"seed": seed}
+        for name, slip, rms in CASES
+        for seed, one in enumerate(luck)
+    ]
+    text, _ = report_rows("compare", rows, ["case", SLIP, "seed"])
+    assert max(map(len, read_cells(text, headings=True))) <= 8
+    for name, _, rms in CASES[1:]:
+        added = 100 * (rms - CASES[0][2])
+        assert find_line(text, name)[2:4] == [f"{added:.2f}", f"{added:.2f} to {added:.2f}"]  # luck is no difference
+    assert "What adds most to none, DeepGPS:** rug +7.00, carpet +1.00 cm" in text
+
+
+def test_a_case_without_a_name_is_named_by_what_it_changes() -> None:
+    ticks = "encoder.ticks_per_rev"
+    points = [(4096, 0.0), (64, 0.0), (4096, 0.02), (64, 0.02)]
+    rows = [make_row(0.1, **{ticks: one, SLIP: slip}) for one, slip in points]
+    words = ["ticks per rev 64", "slip per m 0.02", "ticks per rev 64, slip per m 0.02"]
+    assert compare.name_cases(rows, [ticks, SLIP]) == ["no change", *words]
+
+
 # --- curves
 
 SAMPLES = (500.0, 1000.0, 4000.0, 16000.0)
