@@ -67,12 +67,10 @@ class Layout:
         self.entrance: Pose | None = None
         self.cut_off = self.unswept = 0
 
-    def against_wall(
-        self, piece: Footprint, rng: np.random.Generator, cost: Cost | None = None, walls: Sequence[Wall] | None = None
-    ) -> Pose | None:
+    def against_wall(self, piece: Footprint, rng: np.random.Generator, cost: Cost | None = None) -> Pose | None:
         """Find a place with the back to a wall: roughly the cheapest or, without a cost, a random one."""
         poses = []
-        for wall in self.walls if walls is None else walls:
+        for wall in self.walls:
             reach = (wall.length_m - piece.width_m) / 2 - 0.02
             if reach < 0:
                 continue
@@ -133,19 +131,13 @@ class Layout:
         if self.entrance is None:
             self.entrance = wall_pose(wall, x, PATH_RADIUS_M + 2 * CELL_M)
 
-    def overhang(
-        self, size: tuple[float, float], rng: np.random.Generator, drop_m: float, cost: Cost | None = None
-    ) -> np.ndarray | None:
+    def overhang(self, size: tuple[float, float], rng: np.random.Generator, drop_m: float) -> np.ndarray | None:
         """Find a place (2,) on the ceiling for a fitting of ``size`` (x, y) that hangs down to ``drop_m``."""
         spread = 0.15
         piece = Footprint(size[0] + 2 * spread, size[1] + 2 * spread, 0.0)
         rows, columns = np.nonzero(self.inside[::4, ::4])
-        order = rng.permutation(len(rows))
-        poses = [
-            Pose(float(self.low[0] + 4 * CELL_M * columns[i]), float(self.low[1] + 4 * CELL_M * rows[i]), 0.0)
-            for i in order
-        ]
-        for pose in poses if cost is None else sorted(poses, key=cost):
+        for i in rng.permutation(len(rows)):
+            pose = Pose(float(self.low[0] + 4 * CELL_M * columns[i]), float(self.low[1] + 4 * CELL_M * rows[i]), 0.0)
             if not self.is_inside(piece, pose) or self._footprint(piece, pose, self.overhead).any():
                 continue
             if (self._footprint(piece, pose, self.tall) > drop_m).any():

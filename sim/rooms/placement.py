@@ -50,13 +50,11 @@ class Room:
         return f"{kind}_{self.names[kind]}"
 
 
-def stand(
-    room: Room, name: str, piece: Piece, cost: Cost | None = None, walls: Sequence[Wall] | None = None
-) -> Pose | None:
+def stand(room: Room, name: str, piece: Piece, cost: Cost | None = None) -> Pose | None:
     """Place a piece with its back to a wall and, in a room whose places look alike, a twin of it somewhere else."""
-    pose = _settle(room, name, piece, lambda it: room.layout.against_wall(it, room.rng, cost, walls))
+    pose = _settle(room, name, piece, lambda it: room.layout.against_wall(it, room.rng, cost))
     if pose is not None and room.twins is not None:
-        _settle(room, name, piece, lambda it: room.layout.against_wall(it, room.rng, walls=walls))
+        _settle(room, name, piece, lambda it: room.layout.against_wall(it, room.rng))
     return pose
 
 
@@ -101,15 +99,14 @@ def hang(
     return None
 
 
-def fix(room: Room, name: str, piece: Overhead, drop_m: float, cost: Cost | None = None) -> bool:
+def fix(room: Room, name: str, piece: Overhead, drop_m: float) -> None:
     """Fix a fitting to the ceiling where no piece is taller than ``drop_m`` [m]."""
     body = room.spec.worldbody.add_body(name=room.name(name))
-    at = room.layout.overhang(piece(body, room.rng, room.look), room.rng, drop_m, cost)
+    at = room.layout.overhang(piece(body, room.rng, room.look), room.rng, drop_m)
     if at is None:
         room.spec.delete(body)
-        return False
-    body.pos = (at[0], at[1], room.height_m)
-    return True
+    else:
+        body.pos = (at[0], at[1], room.height_m)
 
 
 def spread(room: Room, at: Pose, size: tuple[float, float]) -> None:

@@ -166,11 +166,7 @@ class DeploymentImageFaultSettings(Group):
     """Largest size of a round image as a JPEG file [kB]; None: by image_faults.jpeg_kb."""
 
 
-class MountSettings(Group):
-    """A mounting of the camera."""
-
-
-class CameraMountSettings(MountSettings):
+class CameraMountSettings(Group):
     """Faults of the camera's mounting and of its motion: they are rendered, in training and in deployment."""
 
     roll_deg: float = Field(default=0.0, ge=-30.0, le=30.0)
@@ -190,7 +186,7 @@ class CameraMountSettings(MountSettings):
     round image with a diameter of 480 [px]."""
 
 
-class DeploymentMountSettings(MountSettings):
+class DeploymentMountSettings(Group):
     """How the camera is mounted in deployment, after it was knocked or mounted again; None: as in training."""
 
     roll_deg: float | None = Field(default=None, ge=-30.0, le=30.0)
