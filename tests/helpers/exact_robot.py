@@ -26,7 +26,7 @@ class ExactRobot:
         return self._angle
 
     def ranges(self, reach_m: float = REACH_M, turned_rad: float = 0.0) -> np.ndarray:
-        return self.world.ranges_at(self.pose + (0.0, 0.0, turned_rad), reach_m)
+        return self.world._finder.measure(*(self.pose + (0.0, 0.0, turned_rad)).tolist(), reach_m)
 
     def bumped(self) -> bool:
         return False

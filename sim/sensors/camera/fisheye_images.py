@@ -70,7 +70,7 @@ class Persons:
 
     def __init__(self, space: FreeSpace, count: int, seed: int = 0) -> None:
         """Find places for so many persons in the space where one has room."""
-        self._places = _list_free(space)
+        self._places = space.places()
         self._space, self._count, self._seed = space, count, seed
         self._rng = [stream(seed, "walk", number) for number in range(count)]
         self._stops = [[self._places[rng.integers(len(self._places))]] for rng in self._rng]
@@ -125,7 +125,7 @@ def _is_apart(places: np.ndarray, robot: np.ndarray) -> np.ndarray:
 
 def place_lamp(space: FreeSpace, room: mujoco.MjModel, seed: int = 0) -> np.ndarray:
     """Place (3,) [m] of a lamp above a random place where a person has room, below the ceiling if the room has one."""
-    places = _list_free(space)
+    places = space.places()
     place = np.array([*places[stream(seed, "lamp").integers(len(places))], PERSON_HEIGHT_M / 2])
     data = mujoco.MjData(room)
     mujoco.mj_kinematics(room, data)
@@ -138,12 +138,6 @@ def draw_lamp(place: np.ndarray) -> list[Shape]:
     """A glowing lamp at a place (3,) [m]."""
     size = (LAMP_RADIUS_M, LAMP_RADIUS_M, LAMP_RADIUS_M)
     return [Shape(mujoco.mjtGeom.mjGEOM_SPHERE, size, place, np.eye(3), (1.0, 1.0, 1.0), 1.0)]
-
-
-def _list_free(space: FreeSpace) -> np.ndarray:
-    """Middles (n, 2) [m] of the free cells that can be reached."""
-    row, column = np.nonzero(space.reachable)
-    return space.origin + space.cell_m * np.stack([column, row], axis=1)
 
 
 def _draw_person(place: np.ndarray, rng: np.random.Generator, heading: float | None = None) -> list[Shape]:
