@@ -63,17 +63,13 @@ def load_own_robot(robot: RobotSettings) -> mujoco.MjSpec:
     Raises InputError if the file is refused, or lacks a part; one line names the setting and what is needed.
     """
     spec = _read(robot)
-    _add_camera(spec)
-    return spec
-
-
-def _add_camera(spec: mujoco.MjSpec) -> None:
-    """Add the camera that dm_env shows, as our robot has it: it looks up, the top of its picture is ahead."""
     model = spec.compile()
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     place = data.site(CAMERA_SITE).xpos - data.body(BASE).xpos  # of a site that may be in a part of the body
+    # The camera that dm_env shows: it looks up, the top of its picture is ahead.
     spec.body(BASE).add_camera(name=CAMERA, pos=place, quat=UPWARD_ORIENTATION, fovy=90.0)
+    return spec
 
 
 def describe_own(robot: RobotSettings) -> Body:

@@ -17,6 +17,7 @@ from sim.geometry import FreeSpace
 from sim.robot.world import RoomWorld
 from sim.rooms.build import build_room
 from sim.rooms.flat import MARK as ROOM_MARK
+from sim.rooms.free_space import box_of
 from sim.sensors.camera import gl
 from sim.sensors.camera.fisheye import Fisheye
 from sim.settings import CameraSettings, DeploymentSettings, RoomKind, RoomSettings, RoomShape, SimSettings
@@ -177,13 +178,9 @@ def _extent(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
     """Return the lower and upper corner (3,) of all that is drawn except planes [m]."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    finite = (model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE) & (model.geom_group <= 2)
-    radius = model.geom_rbound[finite][:, None]
-    boxes = model.geom_aabb[finite, 3:]
-    rotation = np.abs(data.geom_xmat[finite].reshape(-1, 3, 3))
-    half = np.minimum(np.einsum("nij,nj->ni", rotation, boxes), radius)
-    centre = data.geom_xpos[finite]
-    return (centre - half).min(axis=0), (centre + half).max(axis=0)
+    finite = np.flatnonzero((model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE) & (model.geom_group <= 2))
+    low, high = zip(*(box_of(model, data, geom) for geom in finite.tolist()), strict=True)
+    return np.min(low, axis=0), np.max(high, axis=0)
 
 
 def _beside(pictures: Sequence[np.ndarray]) -> np.ndarray:
