@@ -33,13 +33,9 @@ class RobotSettings(Group):
         return {name: value for name, value in write(self).items() if name not in own or self.mjcf is not None}
 
     @model_validator(mode="after")
-    def _only_our_wheel_can_be_scaled(self) -> "RobotSettings":
+    def _only_our_wheel_can_be_scaled_and_only_an_own_robot_has_names(self) -> "RobotSettings":
         if self.mjcf is not None and self.wheel_radius_error:
             raise ValueError(f"wheel_radius_error {self.wheel_radius_error:g} must be 0 with a robot of your own")
-        return self
-
-    @model_validator(mode="after")
-    def _only_an_own_robot_has_names(self) -> "RobotSettings":
         for name in OWN_ROBOT_NAMES if self.mjcf is None else ():
             if (value := getattr(self, name)) != RobotSettings.model_fields[name].default:
                 raise ValueError(f"{name} {shorten(value)} names a part of a robot of your own, and needs mjcf")
