@@ -7,7 +7,6 @@ linear light that they encode. Light that the image without faults cuts off at w
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -22,31 +21,12 @@ MAST_LIGHT = 0.05  # Light of a mast that hides a part of the view, as a fractio
 _STEPS = 65535  # steps of linear light, far finer than any sRGB step
 
 
-class CameraStreams(NamedTuple):
-    """Separate RNG streams for noise and lean, in drive, tests and turns, so that none shifts another."""
-
-    noise: np.random.Generator
-    test_noise: np.random.Generator
-    turn_noise: np.random.Generator
-    lean: np.random.Generator
-    test_lean: np.random.Generator
-    turn_lean: np.random.Generator
-
-
-def spawn_streams(seed: int) -> CameraStreams:
-    """Return the camera's RNG streams for a scenario's seed."""
-    return CameraStreams(*(stream(seed, "camera", name) for name in CameraStreams._fields))
-
-
 def make_measures(settings: SimSettings, seed: int) -> Measures:
     """Return the functions that apply the faults to images, at test positions those in deployment."""
-    chance, faults = spawn_streams(seed), settings.image_faults
+    faults = settings.image_faults
     deployed = faults.override(settings.deployment.image_faults)
-    return Measures(
-        make_develop(faults, chance.noise),
-        make_develop(deployed, chance.test_noise),
-        make_develop(faults, chance.turn_noise),
-    )
+    parts = {"noise": faults, "test_noise": deployed, "turn_noise": faults}
+    return Measures(*(make_develop(some, stream(seed, "camera", name)) for name, some in parts.items()))
 
 
 def drop_faults(settings: SimSettings) -> SimSettings:
