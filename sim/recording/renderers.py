@@ -26,7 +26,7 @@ from sim.settings import SimSettings
 
 MAX_DEATHS = 3  # Number of times that renderers may die or hang
 MAX_TRIES = 3  # Most attempts at a part whose images differ when they are drawn twice
-MIN_SILENCE_S, SILENCE_FACTOR = 10.0, 8.0
+MIN_SILENCE_S, SILENCE_FACTOR = 30.0, 8.0
 """A worker is hung once its silence exceeds MIN_SILENCE_S + SILENCE_FACTOR times the longest one that ended."""
 HEARTBEAT_S = 0.5  # Interval between a worker's signs of life, unless an image takes longer
 POLL_S = 1.0

@@ -122,7 +122,7 @@ def test_one_that_gives_signs_of_life_may_take_as_long_as_it_needs(small_setting
 
 
 def test_patience_grows_with_the_scene():
-    assert Renderers(write_name, 1, 30.0).limit_s() > 10 * Renderers(write_name, 1, 0.1).limit_s()
+    assert Renderers(write_name, 1, 60.0).limit_s() > 10 * Renderers(write_name, 1, 0.1).limit_s()
 
 
 def test_an_error_in_a_worker_keeps_its_kind_and_its_path(small_settings, tmp_path):
