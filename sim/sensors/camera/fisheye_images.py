@@ -18,11 +18,10 @@ from sim.rng import stream
 from sim.rooms.build import build_room
 from sim.rooms.deployment import change_room
 from sim.rooms.free_space import START, find_free_space
-from sim.sensors.camera.faults import RAW_TITLES, decode, encode
+from sim.sensors.camera.faults import FACE_PX, RAW_TITLES, add_glare, compress, decode, encode
 from sim.sensors.camera.fisheye import Dress, Fisheye
-from sim.sensors.camera.illumination import KINDS, Illumination, Sources, expose, find_sources, hang_lamp, mix
+from sim.sensors.camera.illumination import KINDS, Sources, expose, find_sources, hang_lamp, mix, open_illumination
 from sim.sensors.camera.mount import CIRCLE_PX, drive_on
-from sim.sensors.camera.raw_image import FACE_PX, add_glare, compress
 from sim.sensors.camera.unwrap import RoundImage, draw_polar
 from sim.sensors.catalog import Opened
 from sim.settings import SimSettings
@@ -235,5 +234,5 @@ def _open_relight(
     fraction = {"lamps": deployment.light * deployment.lamps, "windows": deployment.light * daylight}
     if lamp is not None:
         sources[NEW_LAMP], fraction[NEW_LAMP] = hang_lamp(lamp), deployment.light
-    illumination = Illumination(model, settings.camera, settings.camera_mount, sources)
-    return lambda light, data, lean, dress: mix(light, illumination.draw(data, lean, dress, look), fraction)
+    draw = open_illumination(model, settings.camera, settings.camera_mount, sources, look)
+    return lambda light, data, lean, dress: mix(light, draw(data, lean, dress), fraction)
