@@ -111,12 +111,10 @@ def _draw_perspective(model: mujoco.MjModel) -> np.ndarray:
     view.distance = 1.02 * float(np.hypot(*(high - low)[:2])) + 0.7
     azimuth, elevation = np.radians((view.azimuth, view.elevation))
     ahead = np.array((np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)))
-    eye = view.lookat - view.distance * ahead
-    hidden = _ceiling(model)
+    eye, data, hidden = view.lookat - view.distance * ahead, mujoco.MjData(model), _ceiling(model)
+    mujoco.mj_kinematics(model, data)
     for body in (number for number in range(model.nbody) if model.body(number).name.startswith("wall_")):
-        rotation = np.empty(9)
-        mujoco.mju_quat2Mat(rotation, model.body_quat[body])
-        if (eye - model.body_pos[body]) @ -rotation.reshape(3, 3)[:, 1] < 0:
+        if (eye - data.xpos[body]) @ data.xmat[body].reshape(3, 3)[:, 1] > 0:
             hidden |= (model.geom_bodyid == body) | (model.body_parentid[model.geom_bodyid] == body)
     return _render(model, view, hidden, (ROW_PX, PERSPECTIVE_PX))
 
