@@ -30,14 +30,23 @@ def wrap(angle: Angle) -> Angle:
 
 @dataclass(frozen=True)
 class FreeSpace:
-    """Where the robot fits, on a grid of cells (rows, columns), rows along y and columns along x."""
+    """Where the robot fits, on a grid of cells.
 
-    origin: np.ndarray  # World position of the middle of cell ``[0, 0]`` (2,) [m]
-    cell_m: float  # Side of a cell [m]
-    free: np.ndarray  # Where the robot's centre may be (rows, columns) bool
-    reachable: np.ndarray  # The part of ``free`` that is connected to the start
-    start: np.ndarray  # Where the robot starts (2,) [m]
-    shorter_side_m: float  # Shorter side of the bounding box of the enclosed free space, wall to wall [m]
+    Attributes:
+        origin: World position of the middle of cell ``[0, 0]`` (2,) [m].
+        cell_m: Side of a cell [m].
+        free: (rows, columns) bool, rows along y, columns along x: True where the robot's centre may be.
+        reachable: The part of ``free`` that is connected to the start.
+        start: Where the robot starts (2,) [m].
+        shorter_side_m: Shorter side of the bounding box of the enclosed free space, wall to wall [m].
+    """
+
+    origin: np.ndarray
+    cell_m: float
+    free: np.ndarray
+    reachable: np.ndarray
+    start: np.ndarray
+    shorter_side_m: float
 
     def is_free(self, points: np.ndarray) -> np.ndarray:
         """Whether the robot fits with its centre at ``points`` (..., 2) [m]."""

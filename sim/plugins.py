@@ -10,16 +10,21 @@ import numpy as np
 
 @dataclass(frozen=True)
 class EncoderFault:
-    """A fault of the wheel encoders that a plugin adds; the setting ``encoder.plugins.<name>`` is its strength."""
+    """A fault of the wheel encoders that a plugin adds; the setting ``encoder.plugins.<name>`` is its strength.
 
-    title: str  # Description of the quantity that the setting is, with its unit, for reports
-    # (wheel angles (R, 2) [rad] in the order driven, strength, wheel radius [m], RNG) -> faulty angles
+    Attributes:
+        title: Description of the quantity that the setting is, with its unit, for reports.
+        apply: (wheel angles (R, 2) [rad] in the order driven, strength, wheel radius [m], RNG) -> faulty angles.
+        drops: (number of readings R, strength, RNG) -> mask (R,) bool of the readings that never arrive.
+        bias: (strength, lengths of complete segments [m]) -> expected squared error of each length [m^2].
+        limits: Smallest and largest strength; 0 is off and always allowed.
+    """
+
+    title: str
     apply: Callable[[np.ndarray, float, float, np.random.Generator], np.ndarray] | None = None
-    # (number of readings R, strength, RNG) -> mask (R,) bool of the readings that never arrive
     drops: Callable[[int, float, np.random.Generator], np.ndarray] | None = None
-    # (strength, lengths of complete segments [m]) -> expected squared error of each length [m^2]
     bias: Callable[[float, Any], Any] | None = None
-    limits: tuple[float, float] = (0.0, float("inf"))  # Smallest and largest strength; 0 is off and always allowed
+    limits: tuple[float, float] = (0.0, float("inf"))
 
 
 ENCODER_FAULTS: dict[str, EncoderFault] = {}

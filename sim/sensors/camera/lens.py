@@ -24,10 +24,15 @@ _EXPONENT = np.arange(1, 11, 2)
 
 @dataclass(frozen=True)
 class Lens:
-    """A radially symmetric lens."""
+    """A radially symmetric lens.
 
-    half_angle: float  # Angle between the optical axis and the rim [rad]
-    k: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # Kannala-Brandt coefficients k1 to k4
+    Attributes:
+        half_angle: Angle between the optical axis and the rim [rad].
+        k: Kannala-Brandt coefficients k1 to k4.
+    """
+
+    half_angle: float
+    k: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
 
     def radius(self, theta: np.ndarray) -> np.ndarray:
         """Image radius as a fraction of the rim's, at angles ``theta`` from the axis [rad]."""
