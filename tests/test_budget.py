@@ -7,7 +7,7 @@ ROOT = Path(__file__).parents[1]
 LIMITS = {
     "lines of sim and deepgps": 43_469,
     "files of sim and deepgps": 304,
-    "lines of tests": 29_699,
+    "lines of tests": 29_700,
     "Python files directly in deepgps": 2,
     "words of decisions": 6_756,
     "words of all other pages by hand": 21_523,
