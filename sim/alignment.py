@@ -37,13 +37,10 @@ class Alignment:
 def fit_alignment(
     source: np.ndarray, target: np.ndarray, kind: AlignmentKind, weight: np.ndarray | None = None
 ) -> Alignment:
-    """Least-squares rigid transform from ``source`` (N, 2) to ``target`` (N, 2) (Kabsch-Umeyama).
+    """Least-squares rigid transform from positions (N, 2) in the method's frame to the same in the world's [m]
+    (Kabsch-Umeyama), which count by a weight (N,) or all the same.
 
-    Args:
-        source: Positions in the method's frame [m].
-        target: The same positions in the world's frame [m].
-        kind: SE2 preserves chirality; E2 allows a reflection, since distances leave a mirror ambiguity.
-        weight: What each position counts (N,); None: all the same.
+    SE2 preserves chirality; E2 allows a reflection, since distances leave a mirror ambiguity.
     """
     weight = np.ones(len(source)) if weight is None else weight
     source_mean, target_mean = (np.average(points, axis=0, weights=weight) for points in (source, target))

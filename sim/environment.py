@@ -36,22 +36,14 @@ _DRAWN_FAULTS = ("slip_per_m", "step_noise", "dropout", "stuck_fraction")
 
 
 class RoomEnvironment(dm_env.Environment):
-    """A robot in a room; an episode starts at a random reachable place.
+    """A robot in a room; an episode starts at a random reachable place, which ``rng`` draws.
 
-    Attributes:
-        physics: dm_control's view of the model and its state.
-        odometry: What is known of the wheels, as in a recording's manifest.
-
-    Args:
-        settings: Room, robot, camera and encoder resolution.
-        rng: Draws the start of each episode.
-        episode_s: Length of an episode [s]; it ends with discount 1, as it is truncated, not terminated.
-        step_s: Length of a step [s], a multiple of the control period, 0.04 s; the wheels keep their speed during it.
-
-    Raises:
-        InputError: The encoder has faults that are drawn for a complete drive (slip, noise of the gaps, lost readings,
-            a stuck encoder, those of plugins), the camera has any faults, or a length is impossible.
-        WorkError: No OpenGL context can be opened, or physics fails.
+    It ends after ``episode_s`` [s] with discount 1, as it is truncated, not terminated. The wheels keep their speed
+    during a step of ``step_s`` [s], a multiple of the control period, 0.04 s. ``physics`` is dm_control's view of the
+    model and its state, ``odometry`` what is known of the wheels, as in a recording's manifest. Raises InputError if
+    the encoder has faults that are drawn for a complete drive (slip, noise of the gaps, lost readings, a stuck encoder,
+    those of plugins), the camera has any faults, or a length is impossible; WorkError if no OpenGL context can be
+    opened, or physics fails.
     """
 
     def __init__(
@@ -92,10 +84,7 @@ class RoomEnvironment(dm_env.Environment):
 
     def reset(self) -> dm_env.TimeStep:
         """Place the robot, settled, at a random reachable position with a random heading."""
-        space = self._world.free_space
-        cells = np.argwhere(space.reachable)
-        row, column = cells[self._rng.integers(len(cells))]
-        place = space.origin + np.array([column, row]) * space.cell_m
+        place = self._rng.choice(self._world.free_space.places())
         self._world.place(np.array([*place, self._rng.uniform(-np.pi, np.pi)]))
         self._step = 0
         return dm_env.restart(self._observe())

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -56,6 +56,11 @@ class FreeSpace:
         """Whether the robot can get from its start to ``points`` (..., 2) [m]."""
         return self._look_up(self.reachable, points)
 
+    def places(self) -> np.ndarray:
+        """Middles (n, 2) [m] of the cells that can be reached."""
+        row, column = np.nonzero(self.reachable)
+        return self.origin + self.cell_m * np.stack([column, row], axis=1)
+
     def _look_up(self, mask: np.ndarray, points: np.ndarray) -> np.ndarray:
         cell = np.rint((np.asarray(points) - self.origin) / self.cell_m).astype(int)
         column, row = cell[..., 0], cell[..., 1]
@@ -65,38 +70,18 @@ class FreeSpace:
 
 def save_free_space(path: Path, space: FreeSpace) -> None:
     """Write the free space as one ``.npz`` file."""
-    write_arrays(
-        path,
-        {
-            "origin": np.asarray(space.origin, float),
-            "cell_m": np.array(space.cell_m),
-            "free": space.free,
-            "reachable": space.reachable,
-            "start": np.asarray(space.start, float),
-            "shorter_side_m": np.array(space.shorter_side_m),
-        },
-    )
+    write_arrays(path, {name: np.asarray(value) for name, value in vars(space).items()})
 
 
 def load_free_space(path: Path) -> FreeSpace:
     """Read the free space; raises DamagedError."""
-    data = read_arrays(path)
-    try:
-        return FreeSpace(
-            origin=data["origin"],
-            cell_m=float(data["cell_m"]),
-            free=data["free"],
-            reachable=data["reachable"],
-            start=data["start"],
-            shorter_side_m=float(data["shorter_side_m"]),
-        )
-    except KeyError as error:
-        raise damaged(path, f"it has no array {error}") from None
+    data: dict[str, Any] = {name: array if array.ndim else array.item() for name, array in read_arrays(path).items()}
+    if missing := FreeSpace.__dataclass_fields__.keys() - data.keys():
+        raise damaged(path, f"it has no array {min(missing)}")
+    return FreeSpace(**{name: data[name] for name in FreeSpace.__dataclass_fields__})
 
 
 def limits(space: FreeSpace, margin_m: float = 0.2) -> tuple[np.ndarray, np.ndarray]:
     """South-west and north-east corners (2,) [m] of the reachable area plus a margin."""
-    row, column = np.nonzero(space.reachable)
-    corner = np.array([[column.min(), row.min()], [column.max(), row.max()]])
-    low, high = space.origin + corner * space.cell_m
-    return low - margin_m, high + margin_m
+    places = space.places()
+    return places.min(axis=0) - margin_m, places.max(axis=0) + margin_m

@@ -27,7 +27,8 @@ class Worker(SpawnProcess):
             super().start()
 
     def run(self) -> None:
-        end_with_parent()
+        if parent := parent_process():
+            end_with(parent.pid or 0)
         super().run()
 
 
@@ -51,23 +52,14 @@ def usable_cores() -> int:
     return len(os.sched_getaffinity(0))
 
 
-def end_with_parent() -> None:
-    """End this multiprocessing worker when its parent is gone, even if the worker is stopped or hangs."""
-    parent = parent_process()
-    if parent is not None:
-        end_with(parent.pid or 0)
-        threading.Thread(target=_wait_and_end, daemon=True).start()  # for platforms without that call
-
-
 def end_with(parent: int) -> None:
     """Let Linux kill this process when the thread of its parent that started it ends, even if it is stopped then.
 
     If the parent has already ended, this process exits.
     """
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
-        if os.getppid() != parent:
-            os._exit(1)
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    if os.getppid() != parent:
+        os._exit(1)
 
 
 def start_process(code: str, words: Sequence[str], handles: Sequence[int]) -> subprocess.Popen[bytes]:
@@ -116,10 +108,3 @@ def _blocked(signals: Iterable[signal.Signals]) -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def _wait_and_end() -> None:
-    parent = parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)

@@ -50,20 +50,23 @@ def write_atomic(path: Path, write: Callable[[Path], object], size: int = 0) -> 
 
 def check_space(path: Path, needed: int) -> None:
     """Raise WorkError if ``needed`` bytes cannot be written at ``path``, before anything is written."""
-    place = next(folder for folder in (path.absolute(), *path.absolute().parents) if folder.exists())
-    if shutil.disk_usage(place).free < needed:
+    if shutil.disk_usage(find_existing(path)).free < needed:
         raise WorkError(describe_lack(path, needed, OSError(errno.ENOSPC, "")))
 
 
 def describe_lack(path: Path, needed: int, error: OSError) -> str:
     """One-line message about a file without space: its path, the bytes needed and free, and the reason."""
-    place = next(folder for folder in path.absolute().parents if folder.exists())
-    free = shutil.disk_usage(place).free
+    free = shutil.disk_usage(find_existing(path.parent)).free
     why = os.strerror(error.errno or errno.ENOSPC)
     lack = f"{path} cannot be written: {why}; at least {write_size(needed)} are needed"
     if error.errno == errno.EFBIG:
         return f"{lack}; with a higher limit of the size of files (ulimit -f) the same command continues"
     return f"{lack} and {write_size(free)} are free; with more space the same command continues"
+
+
+def find_existing(path: Path) -> Path:
+    """A path if it exists, else the nearest folder above it that does."""
+    return next(folder for folder in (path.absolute(), *path.absolute().parents) if folder.exists())
 
 
 def write_size(size: int) -> str:

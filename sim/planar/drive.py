@@ -88,7 +88,10 @@ def collect(settings: SimSettings, seed: int, folder: Path, progress: Report) ->
         "sensors": sensors,
         "settings": settings.model_dump(mode="json"),
         "seed": seed,
-        **count_drive(drive),
+        "samples": len(drive.pose),
+        "segments": int(drive.reading[-1, 0]) + 1,
+        "readings": len(drive.reading),
+        "distance_driven_m": measure_driven(drive.reading[:, 0], drive.wheel_angle.mean(axis=1) * WHEEL_RADIUS_M),
         "readings_lost": int((~arrived).sum()),
         "odometry": describe_odometry(settings.encoder, WHEEL_RADIUS_M, TRACK_M),
         "gl_renderer": "none",
@@ -159,14 +162,3 @@ def choose_heading(
         f"drive.spacing_m {spacing_m} m must be smaller: from ({x:.2f}, {y:.2f}) m, where the robot came, "
         f"no heading of {TRIES} leads {MIN_STEPS} spacings ahead"
     )
-
-
-def count_drive(drive: PlanarDrive) -> dict[str, float]:
-    """Return the manifest's entries about a drive."""
-    number, travelled_m = drive.reading[:, 0], drive.wheel_angle.mean(axis=1) * WHEEL_RADIUS_M
-    return {
-        "samples": len(drive.pose),
-        "segments": int(number[-1]) + 1,
-        "readings": len(drive.reading),
-        "distance_driven_m": measure_driven(number, travelled_m),
-    }

@@ -125,8 +125,7 @@ class LidarWorld:
 
     def draw_start(self, rng: np.random.Generator) -> np.ndarray:
         """Draw a random place (2,) [m] in the largest connected part of the free space."""
-        row, column = rng.choice(np.argwhere(self.space.reachable))
-        return self.space.origin + np.array([column, row]) * self.space.cell_m
+        return rng.choice(self.space.places())
 
     def way_ahead(self, place: np.ndarray, yaw: float) -> float:
         """Return the distance from a free place (2,) [m] along a heading [rad] until only the clearance is left [m]."""
@@ -173,15 +172,8 @@ def cast_rays(box: np.ndarray, bounds: np.ndarray, place: np.ndarray, angle: np.
     """Return distances along rays to the first box or to the wall, by the slab method (Kay and Kajiya 1986).
 
     A ray is inside a box while it is between both pairs of sides; it meets the box where it enters the second pair.
-
-    Args:
-        box: Lower and upper corners (n, 2, 2) [m].
-        bounds: Lower and upper corner of the square within the walls (2, 2) [m].
-        place: Where rays begin (p, 2) [m], in the square and, except for rounding errors, in no box.
-        angle: Directions of the rays (p, m) [rad].
-
-    Returns:
-        Distances (p, m) [m].
+    From corners (n, 2, 2) of boxes and (2, 2) of the walls, places (p, 2) in no box [m] and angles (p, m) [rad], the
+    distances are (p, m) [m].
     """
     direction = np.stack([np.cos(angle), np.sin(angle)])
     # A ray parallel to a slab never leaves it, or never enters it; it never meets the walls along it.

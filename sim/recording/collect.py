@@ -61,7 +61,6 @@ from sim.recording.renderers import Part, Renderers, count_renderers
 from sim.rng import stream
 from sim.robot.world import RoomWorld
 from sim.rooms.mjcf import list_notes
-from sim.sensors.camera.faults import spawn_streams
 from sim.sensors.camera.mount import draw_leans
 from sim.sensors.catalog import SENSORS, list_kept
 from sim.sensors.encoder import describe_odometry
@@ -261,7 +260,9 @@ def _drive(job: _Job, give: Callable[[Part], None], too_few: int) -> CollectedDr
     Where the drive would end with ``too_few``, or was found to when the next chunk was driven, it goes on.
     """
     world, settings, work = job.world, job.world.settings, job.work
-    rng, chance = stream(job.seed, "drive"), spawn_streams(job.seed)
+    rng, lean, turn_lean = (
+        stream(job.seed, *name) for name in (("drive",), ("camera", "lean"), ("camera", "turn_lean"))
+    )
     drive, chunk = CollectedDrive([], [], []), None
     driven, wanted, least = 0, 1, 0
     while driven < wanted:
@@ -272,12 +273,12 @@ def _drive(job: _Job, give: Callable[[Part], None], too_few: int) -> CollectedDr
             write_arrays(path, chunk)
         drive.chunks.append(chunk)
         drive.images.append(images)
-        leans = draw_leans(settings.camera_mount, len(chunk["state"]), chance.lean)
+        leans = draw_leans(settings.camera_mount, len(chunk["state"]), lean)
         lit = light_part(settings, len(drive.chunks) - 1)
         give(Part(lit, chunk["state"], images, leans))
         if settings.drive.turn_images and len(turned := chunk["turn_state"]):
             drive.turns.append(turns)
-            give(Part(lit, turned, turns, draw_leans(settings.camera_mount, len(turned), chance.turn_lean)))
+            give(Part(lit, turned, turns, draw_leans(settings.camera_mount, len(turned), turn_lean)))
         driven, wanted = count_wanted(settings, chunk, least)
         if driven == wanted and (driven <= too_few or chunk_files(work, len(drive.chunks))[0].is_file()):
             least = find_least(driven)
@@ -288,7 +289,7 @@ def _drive(job: _Job, give: Callable[[Part], None], too_few: int) -> CollectedDr
 
 def _lay_out_tests(job: _Job) -> list[Part]:
     """Divide the test grid into parts: the robot at rest at each pose, in the room as it is in deployment."""
-    settings, lean = set_deployment(job.settings), spawn_streams(job.seed).test_lean
+    settings, lean = set_deployment(job.settings), stream(job.seed, "camera", "test_lean")
     poses = job.test_pose.reshape(-1, 3)
     parts = []
     for index, first in enumerate(range(0, len(poses), CHUNK)):

@@ -26,26 +26,24 @@ _DEFAULT_RGBA = np.array([0.5, 0.5, 0.5, 1.0])  # MuJoCo's default, which means 
 _Geom = mujoco.mjtGeom
 
 
-def write_scene(model: mujoco.MjModel, path: Path, hidden: str = ROBOT_PREFIX) -> None:
+def write_scene(model: mujoco.MjModel, path: Path) -> None:
     """Write the visual geoms of a compiled room, in its initial state, as GLB; equal models give equal bytes.
 
     Boxes and planes have their textures, all other shapes their texture's mean colour. Height fields, signed distance
-    fields and bodies whose names begin with ``hidden`` are left out.
+    fields and the robot are left out.
     """
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    material = cache(lambda matid, rgba, textured: _make_material(model, matid, rgba, textured))
+    material = cache(lambda texture, rgba, textured: _make_material(model, texture, rgba, textured))
     scene = trimesh.Scene()
     for geom in range(model.ngeom):
         rgba = _colour(model, geom)
-        if not _is_drawn(model, geom, hidden) or rgba[3] == 0:
+        if not _is_drawn(model, geom) or rgba[3] == 0:
             continue
         shape, coordinates = _SHAPES[_Geom(model.geom_type[geom])](model, geom)
-        texture = _texture(model, geom) if coordinates is not None else -1
-        shape.visual = TextureVisuals(
-            uv=coordinates if texture >= 0 else None,
-            material=material(int(model.geom_matid[geom]), tuple(rgba.tolist()), texture >= 0),
-        )
+        textured = coordinates is not None
+        own = material(_texture(model, geom), tuple(rgba.tolist()), textured)
+        shape.visual = TextureVisuals(uv=coordinates, material=own)
         name = model.geom(geom).name or f"geom_{geom}"
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]
@@ -55,11 +53,11 @@ def write_scene(model: mujoco.MjModel, path: Path, hidden: str = ROBOT_PREFIX) -
     write_bytes(path, content)
 
 
-def _is_drawn(model: mujoco.MjModel, geom: int, hidden: str) -> bool:
+def _is_drawn(model: mujoco.MjModel, geom: int) -> bool:
     return (
         model.geom_group[geom] in DRAWN_GROUPS
         and _Geom(model.geom_type[geom]) in _SHAPES
-        and not model.body(model.geom_bodyid[geom]).name.startswith(hidden)
+        and not model.body(model.geom_bodyid[geom]).name.startswith(ROBOT_PREFIX)
     )
 
 
@@ -74,8 +72,7 @@ def _texture(model: mujoco.MjModel, geom: int) -> int:
     return int(model.mat_texid[material, mujoco.mjtTextureRole.mjTEXROLE_RGB]) if material >= 0 else -1
 
 
-def _make_material(model: mujoco.MjModel, material: int, rgba: tuple[float, ...], textured: bool) -> PBRMaterial:
-    texture = int(model.mat_texid[material, mujoco.mjtTextureRole.mjTEXROLE_RGB]) if material >= 0 else -1
+def _make_material(model: mujoco.MjModel, texture: int, rgba: tuple[float, ...], textured: bool) -> PBRMaterial:
     colour, picture = np.array(rgba), None
     if texture >= 0:
         pixels = _pixels(model, texture)

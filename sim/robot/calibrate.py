@@ -27,15 +27,11 @@ STRAIGHT_M, TURN_RAD = 5.0, 4.0 * np.pi  # Length of a straight drive [m], and a
 
 
 def calibrate(settings: SimSettings, body: Body = BURGER) -> tuple[float, float]:
-    """Measure the values that WHEEL_RADIUS_M and TRACK_M of sim/robot/model.py should have.
+    """Measure the values that WHEEL_RADIUS_M and TRACK_M of sim/robot/model.py should have, for a robot of about these
+    dimensions.
 
-    Args:
-        settings: The robot is used.
-        body: Its dimensions, roughly.
-
-    Returns:
-        Effective wheel radius [m]: distance travelled on a 5 m straight over the mean wheel angle; and effective track
-        [m]: difference of the distances of the wheels over the angle turned in four turns in place.
+    The effective wheel radius [m] is the distance travelled on a 5 m straight over the mean wheel angle, the effective
+    track [m] the difference of the distances of the wheels over the angle turned in four turns in place.
     """
     world = Chassis(settings, empty_room(), body)
     world.place(np.zeros(3))

@@ -49,14 +49,12 @@ def compile_scene(room: mujoco.MjSpec, settings: SimSettings) -> mujoco.MjModel:
 
 
 def _force_physics(spec: mujoco.MjSpec) -> None:
-    defaults = mujoco.MjSpec()
-    spec.option = defaults.option
+    spec.option = mujoco.MjSpec().option
     spec.option.timestep = TIMESTEP_S
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     # A diverged state must be noticed, not silently reset to the start.
     spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_AUTORESET
-    spec.memory = defaults.memory
 
 
 def _force_picture(spec: mujoco.MjSpec) -> None:

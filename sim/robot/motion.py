@@ -40,23 +40,9 @@ def look(robot: Robot, reach_m: float, turned_rad: float = 0.0) -> float:
     return clear_length(robot.ranges(reach_m, turned_rad), robot.body.radius_m)
 
 
-def turn(
-    robot: Robot,
-    angle: float,
-    until_clear_m: float | None = None,
-    caution: float = 1.0,
-) -> bool:
-    """Turn in place by an angle [rad], measured by the wheel angles.
-
-    Args:
-        robot: The robot, at rest.
-        angle: How far to turn [rad]; with ``until_clear_m``, counted from the first clear heading.
-        until_clear_m: A heading is clear if this much is free ahead [m].
-        caution: Fraction of the turn rate to turn at.
-
-    Returns:
-        False if a full turn found nothing clear.
-    """
+def turn(robot: Robot, angle: float, until_clear_m: float | None = None, caution: float = 1.0) -> bool:
+    """Turn in place from rest by an angle [rad], measured by the wheel angles, at a fraction ``caution`` of the turn
+    rate; if so much must be clear ahead [m], on from the first heading that is. False: a full turn found none."""
     period, start = CONTROL_PERIOD_S, robot.wheel_angle()
     goal = abs(angle) if until_clear_m is None else np.inf
     rate, highest = 0.0, TURN_RATE_RPS * caution
@@ -77,18 +63,11 @@ def turn(
 
 
 def drive_arc(robot: Robot, settings: DriveSettings, length_m: float, curvature: float) -> bool:
-    """Drive an arc from rest to rest; it ends early before an obstacle, at a contact, and when the wheels are held.
+    """Drive an arc of a length [m] and a curvature, positive to the left [1/m], from rest to rest; returns whether the
+    robot moved.
 
-    After a contact the robot rolls back, also from one that there was before.
-
-    Args:
-        robot: The robot, at rest.
-        settings: How fast to drive.
-        length_m: Length of the arc [m].
-        curvature: Inverse of its radius, positive to the left [1/m].
-
-    Returns:
-        Whether the robot moved.
+    It ends early before an obstacle, at a contact, and when the wheels are held. After a contact the robot rolls back,
+    also from one that there was before.
     """
     period, start, speed = CONTROL_PERIOD_S, robot.wheel_angle(), 0.0
     deadline = robot.time() + 2 * (length_m / settings.speed_mps + settings.speed_mps / ACCELERATION_MPS2)

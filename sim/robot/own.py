@@ -8,8 +8,7 @@ import numpy as np
 
 from sim.errors import InputError, one_line, shorten
 from sim.robot.model import BASE, CAMERA, CAMERA_SITE, WHEELS, Body
-from sim.rooms.mjcf_files import list_files
-from sim.rooms.spec import strip_robot
+from sim.rooms.mjcf_files import read_model
 from sim.settings import RobotSettings
 
 _ANGLE = np.linspace(0.0, 2.0 * np.pi, 720, endpoint=False)
@@ -63,17 +62,13 @@ def load_own_robot(robot: RobotSettings) -> mujoco.MjSpec:
     Raises InputError if the file is refused, or lacks a part; one line names the setting and what is needed.
     """
     spec = _read(robot)
-    _add_camera(spec)
-    return spec
-
-
-def _add_camera(spec: mujoco.MjSpec) -> None:
-    """Add the camera that dm_env shows, as our robot has it: it looks up, the top of its picture is ahead."""
     model = spec.compile()
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     place = data.site(CAMERA_SITE).xpos - data.body(BASE).xpos  # of a site that may be in a part of the body
+    # The camera that dm_env shows: it looks up, the top of its picture is ahead.
     spec.body(BASE).add_camera(name=CAMERA, pos=place, quat=UPWARD_ORIENTATION, fovy=90.0)
+    return spec
 
 
 def describe_own(robot: RobotSettings) -> Body:
@@ -118,15 +113,7 @@ def describe_own(robot: RobotSettings) -> Body:
 
 def _read(robot: RobotSettings) -> mujoco.MjSpec:
     """The robot under the testbed's names, without anything else that moves or measures, and without bumper."""
-    path = Path(robot.mjcf or "")
-    list_files(path, "robot")
-    try:
-        spec = mujoco.MjSpec.from_file(str(path.resolve()))
-        strip_robot(spec)
-    except InputError as error:
-        raise _refuse(robot, str(error)) from None
-    except (ValueError, RuntimeError, MemoryError, mujoco.FatalError) as error:
-        raise _refuse(robot, f"MuJoCo cannot read it: {shorten(one_line(error), 400)}") from None
+    spec, _ = read_model(Path(robot.mjcf or ""), "robot")
     bodies = list(spec.worldbody.bodies)
     if len(bodies) != 1:
         raise _refuse(robot, f"its world must hold one body, the robot, and holds {len(bodies)}")

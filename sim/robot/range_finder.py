@@ -41,9 +41,6 @@ def lay_fan(radius_m: float) -> Fan:
     return Fan(angle, cos, sin, (radius_m + SIDE_TOLERANCE_M) / np.maximum(np.abs(sin), 1e-9))
 
 
-ANGLE = lay_fan(RADIUS_M).angle  # Angles of the rays of the testbed's own robot [rad]
-
-
 class RangeFinder:
     """Casts the rays in a room."""
 

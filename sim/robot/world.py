@@ -5,7 +5,7 @@ from functools import cached_property
 import mujoco
 import numpy as np
 
-from sim.geometry import FreeSpace
+from sim.geometry import FreeSpace, limits
 from sim.robot.calibrate import calibrate_own
 from sim.robot.chassis import Chassis
 from sim.robot.model import describe_body
@@ -18,11 +18,7 @@ from sim.settings import SimSettings
 
 
 class RoomWorld(Chassis):
-    """A robot in a room, moved by physics.
-
-    Attributes:
-        room: The compiled room without the robot.
-    """
+    """A robot in a room, moved by physics; ``room`` is the compiled room without it."""
 
     def __init__(self, settings: SimSettings, room: mujoco.MjSpec | None = None, drawn: bool = True) -> None:
         """Build the settings' room as before deployment, or take a given one, and put the robot into it at rest.
@@ -44,9 +40,7 @@ class RoomWorld(Chassis):
     @property
     def bounds(self) -> np.ndarray:
         """Lower and upper corner (2, 2) of the bounding box of all places that the robot can reach [m]."""
-        row, column = np.nonzero(self.free_space.reachable)
-        cell = np.array([[column.min(), row.min()], [column.max(), row.max()]])
-        return self.free_space.origin + cell * self.free_space.cell_m
+        return np.array(limits(self.free_space, 0.0))
 
     def is_free(self, points: np.ndarray) -> np.ndarray:
         """Whether the robot fits with its middle at ``points`` (..., 2) [m]."""
@@ -66,10 +60,5 @@ class RoomWorld(Chassis):
     def ranges(self, reach_m: float = REACH_M, turned_rad: float = 0.0) -> np.ndarray:
         """Distances (K,) of the range rays [m], at most the reach, fan after fan, which are turned to the left
         [rad]."""
-        x, y, yaw = self.pose()
-        return self.ranges_at(np.array((x, y, yaw + turned_rad)), reach_m)
-
-    def ranges_at(self, pose: np.ndarray, reach_m: float = REACH_M) -> np.ndarray:
-        """Return distances (K,) of the range rays [m] of a robot at a pose (3,) x, y [m], yaw [rad]."""
-        x, y, yaw = pose.tolist()
-        return self._finder.measure(x, y, yaw, reach_m)
+        x, y, yaw = self.pose().tolist()
+        return self._finder.measure(x, y, yaw + turned_rad, reach_m)

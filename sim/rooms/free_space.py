@@ -32,7 +32,7 @@ def find_free_space(model: mujoco.MjModel, radius_m: float, height_m: float, cel
     free = ~blocked
     label = np.zeros(free.shape, np.int32)
     ndimage.label(free, output=label)
-    region, start = _enclosed_region(model, label, origin, cell_m)
+    region, start = _enclosed_region(probe, label, origin, cell_m)
     return FreeSpace(
         origin=origin,
         cell_m=cell_m,
@@ -130,8 +130,7 @@ def _search_area(probe: _Probe, radius_m: float, cell_m: float) -> tuple[np.ndar
     for geom in probe.terrains:
         corners += box_of(probe.room, probe.room_data, geom)
     if not corners:
-        explained = _explain(probe.room)
-        raise InputError(f"room: nothing stands on the floor, so no free space is enclosed by walls{explained}")
+        raise InputError(f"room: nothing stands on the floor, so no free space is enclosed by walls{_explain(probe)}")
     border = radius_m + 3 * cell_m
     # The grid passes through the room's origin, wherever its walls are.
     low = np.floor((np.min(corners, axis=0)[:2] - border) / cell_m)
@@ -201,54 +200,44 @@ def _block_terrain(blocked: np.ndarray, probe: _Probe, geom: int, origin: np.nda
 
 
 def _enclosed_region(
-    model: mujoco.MjModel, label: np.ndarray, origin: np.ndarray, cell_m: float
+    probe: _Probe, label: np.ndarray, origin: np.ndarray, cell_m: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the region of the start site, or else the largest one that is enclosed, and the start (2,) [m]."""
     outside = np.unique(np.concatenate([label[0], label[-1], label[:, 0], label[:, -1]]))
-    start = _start_site(model)
-    if start is not None:
+    site = mujoco.mj_name2id(probe.room, mujoco.mjtObj.mjOBJ_SITE, START)
+    if site >= 0:
+        start = probe.room_data.site_xpos[site, :2].copy()
         column, row = np.rint((start - origin) / cell_m).astype(int)
         inside = 0 <= row < label.shape[0] and 0 <= column < label.shape[1]
         if not inside or label[row, column] == 0:
             where = f"({start[0]:g}, {start[1]:g}) m"
-            raise InputError(f"room: the site start at {where} is not free for the robot{_explain(model)}")
+            raise InputError(f"room: the site start at {where} is not free for the robot{_explain(probe)}")
         if label[row, column] in outside:
-            raise InputError(f"room: the free space about the site start is not enclosed by walls{_explain(model)}")
+            raise InputError(f"room: the free space about the site start is not enclosed by walls{_explain(probe)}")
         return label == label[row, column], start
     cells = np.bincount(label.ravel())
     cells[0] = 0
     cells[outside] = 0
     if not cells.any():
-        raise InputError(f"room: no free space is enclosed by walls{_explain(model)}")
+        raise InputError(f"room: no free space is enclosed by walls{_explain(probe)}")
     region = label == cells.argmax()
     return region, _roomiest(region, origin, cell_m)
 
 
-def _explain(model: mujoco.MjModel) -> str:
+def _explain(probe: _Probe) -> str:
     """The end of a message for a room with meshes that collide, of which one for all walls fills the room, or with
     geoms that are only drawn."""
-    why, solid = "", collides(model)
+    model, data, why, solid = probe.room, probe.room_data, "", collides(probe.room)
     if (model.geom_type[solid] == mujoco.mjtGeom.mjGEOM_MESH).any():
         why = "; MuJoCo collides a mesh as its convex hull, so split walls that are one mesh into one for each wall"
     drawn = [model.geom(geom).name for geom in np.flatnonzero(~solid & np.isin(model.geom_group, DRAWN_GROUPS))]
     if drawn:
         named = shorten(", ".join(name or "one without a name" for name in drawn), 200)
         why += f"; these of its geoms are only drawn (contype and conaffinity 0): {named}"
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
     for geom in np.flatnonzero(solid & (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)).tolist():
         if data.geom_xmat[geom, 8] > 1 - _EPSILON and (z_m := data.geom_xpos[geom, 2]) > CLEARANCE_M:
             why += f"; it has a floor at z = {z_m:g} m, which must be at 0"
     return why
-
-
-def _start_site(model: mujoco.MjModel) -> np.ndarray | None:
-    site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, START)
-    if site < 0:
-        return None
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    return data.site_xpos[site, :2].copy()
 
 
 def _roomiest(region: np.ndarray, origin: np.ndarray, cell_m: float) -> np.ndarray:

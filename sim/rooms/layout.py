@@ -59,7 +59,7 @@ class Layout:
         columns, rows = np.ceil(size / CELL_M - CELL_SLACK).astype(int)
         self.inside = np.zeros((rows, columns), bool)
         for left, right, bottom, top in slabs(corners):
-            self._cells(left, right, bottom, top, self.inside)[:] = True
+            self.cells(left, right, bottom, top, self.inside)[:] = True
         self.taken = np.zeros_like(self.inside)
         self.kept = np.zeros_like(self.inside)
         self.overhead = ~self.inside
@@ -67,12 +67,10 @@ class Layout:
         self.entrance: Pose | None = None
         self.cut_off = self.unswept = 0
 
-    def against_wall(
-        self, piece: Footprint, rng: np.random.Generator, cost: Cost | None = None, walls: Sequence[Wall] | None = None
-    ) -> Pose | None:
+    def against_wall(self, piece: Footprint, rng: np.random.Generator, cost: Cost | None = None) -> Pose | None:
         """Find a place with the back to a wall: roughly the cheapest or, without a cost, a random one."""
         poses = []
-        for wall in self.walls if walls is None else walls:
+        for wall in self.walls:
             reach = (wall.length_m - piece.width_m) / 2 - 0.02
             if reach < 0:
                 continue
@@ -98,9 +96,9 @@ class Layout:
 
     def take(self, piece: Footprint, pose: Pose) -> None:
         """Mark what a piece at a pose occupies and keeps open."""
-        self._footprint(piece, pose, self.taken)[:] = True
+        self.footprint(piece, pose, self.taken)[:] = True
         self._front(piece, pose, self.kept)[:] = True
-        area = self._footprint(piece, pose, self.tall)
+        area = self.footprint(piece, pose, self.tall)
         area[:] = np.maximum(area, piece.height_m)
         for wall, rectangle in self._behind(piece, pose):
             wall.taken.append(rectangle)
@@ -129,28 +127,22 @@ class Layout:
     def keep_open(self, wall: Wall, x: float, width_m: float, depth_m: float) -> None:
         """Keep the floor before a place on a wall open, as before a door; the first such place is the entrance."""
         front = Footprint(width_m, depth_m, 0.0)
-        self._footprint(front, wall_pose(wall, x, depth_m / 2), self.kept)[:] = True
+        self.footprint(front, wall_pose(wall, x, depth_m / 2), self.kept)[:] = True
         if self.entrance is None:
             self.entrance = wall_pose(wall, x, PATH_RADIUS_M + 2 * CELL_M)
 
-    def overhang(
-        self, size: tuple[float, float], rng: np.random.Generator, drop_m: float, cost: Cost | None = None
-    ) -> np.ndarray | None:
+    def overhang(self, size: tuple[float, float], rng: np.random.Generator, drop_m: float) -> np.ndarray | None:
         """Find a place (2,) on the ceiling for a fitting of ``size`` (x, y) that hangs down to ``drop_m``."""
         spread = 0.15
         piece = Footprint(size[0] + 2 * spread, size[1] + 2 * spread, 0.0)
         rows, columns = np.nonzero(self.inside[::4, ::4])
-        order = rng.permutation(len(rows))
-        poses = [
-            Pose(float(self.low[0] + 4 * CELL_M * columns[i]), float(self.low[1] + 4 * CELL_M * rows[i]), 0.0)
-            for i in order
-        ]
-        for pose in poses if cost is None else sorted(poses, key=cost):
-            if not self.is_inside(piece, pose) or self._footprint(piece, pose, self.overhead).any():
+        for i in rng.permutation(len(rows)):
+            pose = Pose(float(self.low[0] + 4 * CELL_M * columns[i]), float(self.low[1] + 4 * CELL_M * rows[i]), 0.0)
+            if not self.is_inside(piece, pose) or self.footprint(piece, pose, self.overhead).any():
                 continue
-            if (self._footprint(piece, pose, self.tall) > drop_m).any():
+            if (self.footprint(piece, pose, self.tall) > drop_m).any():
                 continue
-            self._footprint(piece, pose, self.overhead)[:] = True
+            self.footprint(piece, pose, self.overhead)[:] = True
             return np.array((pose.x, pose.y))
         return None
 
@@ -165,19 +157,6 @@ class Layout:
         )
         return int(row), int(column)
 
-    def cover_ceiling(self, at: tuple[float, float], size: tuple[float, float]) -> None:
-        """Take a rectangle of the ceiling with the given middle [m] and size along x and y [m]."""
-        self._footprint(Footprint(*size, 0.0), Pose(*at, 0.0), self.overhead)[:] = True
-
-    def close(self, left: float, right: float, bottom: float, top: float) -> None:
-        """Fill a rectangle [m] with a wall inside the room: it is no floor, and nothing hangs above it."""
-        self._cells(left, right, bottom, top, self.inside)[:] = False
-        self._cells(left, right, bottom, top, self.overhead)[:] = True
-
-    def keep(self, left: float, right: float, bottom: float, top: float) -> None:
-        """Keep a rectangle of floor open [m]."""
-        self._cells(left, right, bottom, top, self.kept)[:] = True
-
     def is_floor(self, points: np.ndarray) -> np.ndarray:
         """Whether points (n, 2) [m] are on the floor: in the room and in no wall inside."""
         column, row = np.floor((points - self.low) / CELL_M + 0.01).astype(int).T
@@ -185,13 +164,9 @@ class Layout:
         known = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
         return known & self.inside[np.where(known, row, 0), np.where(known, column, 0)]
 
-    def is_covered(self, piece: Footprint, pose: Pose) -> bool:
-        """Whether something is already on the ceiling, or a wall, in a footprint."""
-        return bool(self._footprint(piece, pose, self.overhead).any())
-
     def is_clear(self, piece: Footprint, pose: Pose) -> bool:
         """Whether a footprint is in the room on unoccupied floor, which may be floor that must stay open."""
-        return self.is_inside(piece, pose) and not self._footprint(piece, pose, self.taken).any()
+        return self.is_inside(piece, pose) and not self.footprint(piece, pose, self.taken).any()
 
     def _first_good(
         self, piece: Footprint, poses: Sequence[Pose], rng: np.random.Generator, cost: Cost | None
@@ -205,7 +180,7 @@ class Layout:
     def _good(self, piece: Footprint, pose: Pose, walkable: bool) -> bool:
         if not self.is_inside(piece, pose):
             return False
-        if self._footprint(piece, pose, self.taken | self.kept).any():
+        if self.footprint(piece, pose, self.taken | self.kept).any():
             return False
         front = self._front(piece, pose, self.taken)
         if front.any():
@@ -224,14 +199,14 @@ class Layout:
             return False
         if right > high[0] + tolerance or top > high[1] + tolerance:
             return False
-        return bool(self._footprint(piece, pose, self.inside).all())
+        return bool(self.footprint(piece, pose, self.inside).all())
 
     def _leaves_paths(self, piece: Footprint, pose: Pose) -> bool:
         """Whether a person can still walk to nearly all open floor and to the piece's front, and sweep the floor."""
         if self.entrance is None:
             return True
         taken = self.taken.copy()
-        self._footprint(piece, pose, taken)[:] = True
+        self.footprint(piece, pose, taken)[:] = True
         joined, cut_off = self._walk(taken)
         # If earlier pieces already cut off more floor than that, this one must not cut off any more.
         if not joined.any() or cut_off > max(MAX_CUT_OFF_SHARE * joined.sum(), self.cut_off):
@@ -276,17 +251,18 @@ class Layout:
                 hidden.append((wall, (float(x.min()), float(x.max()), 0.0, piece.height_m)))
         return hidden
 
-    def _footprint(self, piece: Footprint, pose: Pose, grid: np.ndarray) -> np.ndarray:
-        return self._cells(*_rectangle(piece, pose), grid)
+    def footprint(self, piece: Footprint, pose: Pose, grid: np.ndarray) -> np.ndarray:
+        """The part of a grid that a piece covers at a pose, as a view."""
+        return self.cells(*_rectangle(piece, pose), grid)
 
     def _front(self, piece: Footprint, pose: Pose, grid: np.ndarray) -> np.ndarray:
         if piece.front_m == 0.0:
             return grid[:0]
         strip = Footprint(piece.width_m, piece.front_m, 0.0)
-        return self._cells(*_rectangle(strip, pose.ahead((piece.depth_m + piece.front_m) / 2)), grid)
+        return self.cells(*_rectangle(strip, pose.ahead((piece.depth_m + piece.front_m) / 2)), grid)
 
-    def _cells(self, left: float, right: float, bottom: float, top: float, grid: np.ndarray) -> np.ndarray:
-        """Return the part of a grid that a rectangle covers, as a view."""
+    def cells(self, left: float, right: float, bottom: float, top: float, grid: np.ndarray) -> np.ndarray:
+        """The part of a grid that a rectangle [m] covers, as a view."""
         first = np.clip(np.floor((np.array((left, bottom)) - self.low) / CELL_M + 0.01).astype(int), 0, None)
         last = np.clip(np.ceil((np.array((right, top)) - self.low) / CELL_M - 0.01).astype(int), 0, None)
         return grid[first[1] : last[1], first[0] : last[0]]

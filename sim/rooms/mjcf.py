@@ -7,10 +7,10 @@ import mujoco
 import numpy as np
 from scipy import ndimage
 
-from sim.errors import InputError, one_line, quote, shorten
+from sim.errors import InputError, quote, shorten
 from sim.rooms.free_space import CLEARANCE_M, box_of, collides
-from sim.rooms.mjcf_files import list_files
-from sim.rooms.spec import ROBOT_PREFIX, make_static
+from sim.rooms.mjcf_files import read_model
+from sim.rooms.spec import ROBOT_PREFIX
 
 FLOOR, FLOOR_BELOW = "floor", "floor_below"
 MAX_WALL_M = 0.5  # Boxes that are the floor may end so far before the outside of the walls [m]
@@ -30,17 +30,8 @@ def load_room(path: Path) -> mujoco.MjSpec:
     may end before the room does. Holes between boxes are closed by geoms that stop the robot and no camera sees. Raises
     InputError if the file is missing, is not MJCF, refers outside its folder, uses plugins, or takes too long.
     """
-    list_files(path)
-    what = f"room.mjcf {shorten(str(path), 300)}"
-    try:
-        spec = mujoco.MjSpec.from_file(str(path.resolve()))
-        make_static(spec)
-        _refuse_robot_names(spec)
-        model = spec.compile()
-    except InputError as error:
-        raise InputError(f"{what}: {error}") from None
-    except (ValueError, RuntimeError, MemoryError, mujoco.FatalError) as error:
-        raise InputError(f"{what}: MuJoCo cannot read it: {shorten(one_line(error), 400)}") from None
+    spec, model = read_model(path, "room")
+    _refuse_robot_names(spec, path)
     floors, tops = _find_floors(model)
     if floors <= {mujoco.mjtGeom.mjGEOM_BOX}:
         name = FLOOR if spec.geom(FLOOR) is None else FLOOR_BELOW
@@ -54,12 +45,13 @@ def load_room(path: Path) -> mujoco.MjSpec:
     return spec
 
 
-def _refuse_robot_names(spec: mujoco.MjSpec) -> None:
+def _refuse_robot_names(spec: mujoco.MjSpec, path: Path) -> None:
     """Refuse names that the robot's own parts may have."""
     named = (spec.bodies, spec.geoms, spec.sites, spec.cameras, spec.materials, spec.textures, spec.meshes)
     for element in [element for group in named for element in group]:
         if element.name.startswith(ROBOT_PREFIX):
-            raise InputError(f"the name {quote(element.name)} begins with {ROBOT_PREFIX}, as the robot's own parts do")
+            name = f"the name {quote(element.name)} begins with {ROBOT_PREFIX}, as the robot's own parts do"
+            raise InputError(f"room.mjcf {shorten(str(path), 300)}: {name}")
 
 
 def list_notes(model: mujoco.MjModel) -> list[str]:

@@ -14,11 +14,14 @@ from collections.abc import Iterable, Iterator
 from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from sim.errors import InputError, one_line, shorten
+from sim.errors import InputError, one_line, read_file, shorten
+
+if TYPE_CHECKING:
+    import mujoco
 
 Kind = Literal["room", "robot"]
 CPU_S, TRIAL_S = 10, 60.0  # Time that a trial may compute, and that it may take on a busy machine [s]
@@ -34,23 +37,24 @@ def list_files(path: Path, kind: Kind = "room") -> list[Path]:
     Raises InputError if it is refused; one line names the setting, the file and the reason.
     """
     what = f"{kind}.mjcf {shorten(str(path), 300)}"
-    try:
-        own = path.resolve(strict=True)
-        state = own.stat()
-    except FileNotFoundError:
-        raise InputError(f"{what}: no such file") from None
-    except (OSError, RuntimeError, ValueError) as error:
-        raise InputError(f"{what}: cannot be found: {error}") from None
-    if not own.is_file():
-        raise InputError(f"{what} is {'a folder' if own.is_dir() else 'a pipe or a device'}, not a file")
-    result = json.loads(_try_out(str(own), kind, state.st_mtime_ns, state.st_size))
+    content = read_file(path, MEMORY_BYTES, what)
+    result = json.loads(_try_out(str(path.resolve()), kind, content))
     if "refused" in result:
         raise InputError(f"{what}: {shorten(result['refused'], 500)}")
     return [Path(file) for file in result["files"]]
 
 
+def read_model(path: Path, kind: Kind) -> "tuple[mujoco.MjSpec, mujoco.MjModel]":
+    """Read a room or a robot that has passed its trial, without what the testbed does not use; raises InputError."""
+    list_files(path, kind)
+    try:
+        return _compile(path.resolve(), kind)
+    except InputError as error:
+        raise InputError(f"{kind}.mjcf {shorten(str(path), 300)}: {error}") from None
+
+
 @lru_cache(maxsize=8)
-def _try_out(path: str, kind: Kind, changed_ns: int, size: int) -> str:
+def _try_out(path: str, kind: Kind, content: bytes) -> str:
     command = [sys.executable, "-P", "-m", "sim.rooms.mjcf_files", kind, path]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(os.path.abspath, sys.path)), "OMP_NUM_THREADS": "1"}
     with TemporaryDirectory() as folder:
@@ -139,23 +143,29 @@ def try_out(path: Path, kind: Kind) -> list[Path]:
         import mujoco
     except ModuleNotFoundError:
         return files
-    from sim.rooms.spec import make_static, strip_robot
-
     mujoco.set_mju_user_warning(lambda text: None)
-    try:
-        spec = mujoco.MjSpec.from_file(str(path))
-        (make_static if kind == "room" else strip_robot)(spec)
-        model = spec.compile()
-    except InputError:
-        raise
-    except (ValueError, RuntimeError, mujoco.FatalError) as error:
-        raise InputError(f"MuJoCo cannot read it: {one_line(error)[:400]}") from None
+    _, model = _compile(path, kind)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     for values in (data.geom_xpos, data.geom_xmat, model.geom_size):
         if not (np.abs(values) < MAX_COORDINATE_M).all():
             raise InputError("a geom is infinitely large or far away")
     return files
+
+
+def _compile(path: Path, kind: Kind) -> "tuple[mujoco.MjSpec, mujoco.MjModel]":
+    import mujoco
+
+    from sim.rooms.spec import make_static, strip_robot
+
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+        (make_static if kind == "room" else strip_robot)(spec)
+        return spec, spec.compile()
+    except InputError:
+        raise
+    except (ValueError, RuntimeError, MemoryError, mujoco.FatalError) as error:
+        raise InputError(f"MuJoCo cannot read it: {shorten(one_line(error), 400)}") from None
 
 
 def main(kind: Kind, path: Path) -> None:

@@ -148,7 +148,7 @@ def _snap(layout: Layout, axis: int, place: float) -> float:
 
 def _raise(room: Room, partition: Partition) -> None:
     """Draw a wall with its doorways, their frames and the wall above them; it is no floor."""
-    look, height = room.look, room.height_m
+    look, height, layout = room.look, room.height_m, room.layout
     body = room.spec.worldbody.add_body(name=room.name("partition"))
     colour = textures.muted(room.rng) * 0.7 + 0.28
     edges = [partition.low, partition.high]
@@ -161,9 +161,10 @@ def _raise(room: Room, partition: Partition) -> None:
         finish = paper_wall(room, size) if room.twins is not None else surface(look, room.rng, "plaster", size, colour)
         _box(body, partition, (low + high) / 2, (above + height) / 2, (*size, WALL_M), finish, solid=True)
         if not number % 2:
-            room.layout.close(*partition.span(low, high))
+            layout.cells(*partition.span(low, high), layout.inside)[:] = False
+            layout.cells(*partition.span(low, high), layout.overhead)[:] = True
             continue
-        room.layout.keep(*partition.span(low, high, WALL_M + 2 * DOORWAY_CLEARANCE_M))
+        layout.cells(*partition.span(low, high, WALL_M + 2 * DOORWAY_CLEARANCE_M), layout.kept)[:] = True
         for edge in (low, high):
             _box(body, partition, edge, DOORWAY_HEIGHT_M / 2, (FRAME_M, DOORWAY_HEIGHT_M, WALL_M + 0.04), look.wood)
         size = (DOORWAY_M - FRAME_M, FRAME_M, WALL_M + 0.04)

@@ -50,13 +50,11 @@ class Room:
         return f"{kind}_{self.names[kind]}"
 
 
-def stand(
-    room: Room, name: str, piece: Piece, cost: Cost | None = None, walls: Sequence[Wall] | None = None
-) -> Pose | None:
+def stand(room: Room, name: str, piece: Piece, cost: Cost | None = None) -> Pose | None:
     """Place a piece with its back to a wall and, in a room whose places look alike, a twin of it somewhere else."""
-    pose = _settle(room, name, piece, lambda it: room.layout.against_wall(it, room.rng, cost, walls))
+    pose = _settle(room, name, piece, lambda it: room.layout.against_wall(it, room.rng, cost))
     if pose is not None and room.twins is not None:
-        _settle(room, name, piece, lambda it: room.layout.against_wall(it, room.rng, walls=walls))
+        _settle(room, name, piece, lambda it: room.layout.against_wall(it, room.rng))
     return pose
 
 
@@ -101,15 +99,14 @@ def hang(
     return None
 
 
-def fix(room: Room, name: str, piece: Overhead, drop_m: float, cost: Cost | None = None) -> bool:
+def fix(room: Room, name: str, piece: Overhead, drop_m: float) -> None:
     """Fix a fitting to the ceiling where no piece is taller than ``drop_m`` [m]."""
     body = room.spec.worldbody.add_body(name=room.name(name))
-    at = room.layout.overhang(piece(body, room.rng, room.look), room.rng, drop_m, cost)
+    at = room.layout.overhang(piece(body, room.rng, room.look), room.rng, drop_m)
     if at is None:
         room.spec.delete(body)
-        return False
-    body.pos = (at[0], at[1], room.height_m)
-    return True
+    else:
+        body.pos = (at[0], at[1], room.height_m)
 
 
 def spread(room: Room, at: Pose, size: tuple[float, float]) -> None:
@@ -142,7 +139,7 @@ def beams(room: Room, name: str, draw: Callable[..., tuple[float, float]], count
         size = (length, width_m) if along_x else (width_m, length)
         body = room.spec.worldbody.add_body(name=room.name(name), pos=(*at, room.height_m))
         draw(body, room.rng, room.look, size)
-        layout.cover_ceiling(at, size)
+        layout.footprint(Footprint(*size, 0.0), Pose(*at, 0.0), layout.overhead)[:] = True
 
 
 def near(point: Pose | np.ndarray) -> Cost:
@@ -195,16 +192,11 @@ def set_at(
     room: Room, name: str, piece: Piece, poses: Sequence[Pose], jitter_rad: float = 0.0, at_table: bool = False
 ) -> None:
     """Place a seat, slightly turned, at each of the places that is clear or that its table keeps free."""
+    good = room.layout.is_inside if at_table else room.layout.is_clear
     for pose in poses:
-        body = room.spec.worldbody.add_body(name=room.name(name))
-        it = _make(room, name, piece, body)
-        good = room.layout.is_inside if at_table else room.layout.is_clear
-        if not good(it, pose):
-            room.spec.delete(body)
-            continue
-        room.layout.take(it, pose)
-        turn = pose.yaw + room.rng.uniform(-jitter_rad, jitter_rad)
-        body.pos, body.quat = (pose.x, pose.y, 0.0), turned(turn)
+        if _settle(room, name, piece, lambda it, pose=pose: pose if good(it, pose) else None):
+            turn = pose.yaw + room.rng.uniform(-jitter_rad, jitter_rad)
+            room.spec.body(f"{name}_{room.names[name]}").quat = turned(turn)
 
 
 def surface(
@@ -302,8 +294,8 @@ def hang_lamps(room: Room, every_m: float = LAMPS_M) -> None:
     step = (high - low) / count
     for x in low[0] + step[0] * (np.arange(count[0]) + 0.5):
         for y in low[1] + step[1] * (np.arange(count[1]) + 0.5):
-            covered = room.layout.is_covered(Footprint(PANEL_M, PANEL_M, 0.0), Pose(float(x), float(y), 0.0))
-            if not covered:
+            at = Pose(float(x), float(y), 0.0)
+            if not room.layout.footprint(Footprint(PANEL_M, PANEL_M, 0.0), at, room.layout.overhead).any():
                 body = room.spec.worldbody.add_body(name=room.name("lamp"), pos=(x, y, room.height_m))
                 ceiling.panel_lamp(body, room.rng, room.look, PANEL_M)
 

@@ -1,7 +1,5 @@
 """Models of rooms: an empty one, and copies in which nothing moves or nothing is drawn."""
 
-from typing import Any
-
 import mujoco
 
 from sim.errors import InputError, shorten
@@ -23,10 +21,7 @@ def empty_room() -> mujoco.MjSpec:
 def freeze(room: mujoco.MjSpec) -> mujoco.MjSpec:
     """Copy a room without anything that moves, drives, measures, or would alter contacts with the robot."""
     spec = room.copy()
-    for element in list_active(spec):
-        spec.delete(element)
-    for body in spec.bodies:
-        body.mocap = False
+    make_static(spec)
     for geom in spec.geoms:
         # The robot's geoms have priority 2, so their friction and stiffness apply. Margins would add up.
         geom.priority, geom.margin, geom.gap = 0, 0.0, 0.0
@@ -39,7 +34,8 @@ def freeze(room: mujoco.MjSpec) -> mujoco.MjSpec:
 
 def make_static(spec: mujoco.MjSpec) -> None:
     """Remove all that moves, acts, measures, alters contacts or claims memory."""
-    for element in [*list_active(spec), *spec.skins]:
+    active = (spec.keys, spec.sensors, spec.actuators, spec.equalities, spec.tendons, spec.pairs, spec.excludes)
+    for element in [element for group in (*active, spec.joints, spec.skins) for element in group]:
         spec.delete(element)
     for body in spec.bodies:
         body.mocap = False
@@ -80,12 +76,6 @@ def strip_robot(spec: mujoco.MjSpec) -> None:
         spec.delete(element)
     for material in spec.materials:
         material.textures = [""] * len(material.textures)
-
-
-def list_active(spec: mujoco.MjSpec) -> list[Any]:
-    """Return the elements that move, drive, measure, or alter contacts."""
-    groups = (spec.keys, spec.sensors, spec.actuators, spec.equalities, spec.tendons, spec.pairs, spec.excludes)
-    return [element for group in (*groups, spec.joints) for element in group]
 
 
 def bare(room: mujoco.MjSpec) -> mujoco.MjSpec:

@@ -44,11 +44,8 @@ def disturb(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Angles (R, 2) [rad] with all faults, and which readings arrive (R,) bool.
 
-    Args:
-        wheel_angle: Left and right joint angle at each reading (R, 2) [rad], in the order driven.
-        settings: The faults.
-        wheel_radius_m: Radius that converts slip per metre to an angle [m].
-        rng: Parent of the faults' RNG streams, which are separate, so that none changes what another draws.
+    Wheel angles (R, 2) [rad] are those of the left and right joint at each reading, in the order driven. The generator
+    is the parent of the faults' streams, which are separate, so that none changes what another draws.
     """
     angle, arrived = wheel_angle, np.ones(len(wheel_angle), bool)
     for fault in FAULTS:
@@ -204,17 +201,8 @@ MAX_EXACT_TICKS = 2**40  # Number of ticks from which a conversion to metres in 
 def read_encoders(
     wheel_angle: np.ndarray, wheel_radius_m: float, settings: EncoderSettings, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Ticks that the encoders report for a complete drive, and which readings arrive.
-
-    Args:
-        wheel_angle: Left and right joint angle at each reading (R, 2) [rad], in the order driven.
-        wheel_radius_m: Radius that converts slip per metre to an angle [m].
-        settings: Resolution and faults.
-        rng: Parent of the faults' RNG streams.
-
-    Returns:
-        Cumulative ticks (R, 2) int64 and a mask (R,) bool of the readings that arrive.
-    """
+    """Cumulative ticks (R, 2) int64 that the encoders report for a complete drive, and which readings arrive (R,) bool;
+    arguments as for ``disturb``."""
     angle, arrived = disturb(wheel_angle, settings, wheel_radius_m, rng)
     return count_ticks(angle, settings), arrived
 

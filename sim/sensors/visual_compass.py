@@ -52,8 +52,6 @@ MIN_CONTRAST = 1e-6
 """An image whose variance is a smaller part of the mean square, after filtering, shows no direction."""
 MATCH_FLOOR = 1e-3
 """Unexplained part of the energy that two images of one place have at least: steps of brightness and sampling."""
-FORWARD_RAD = np.radians(25.0)  # So far off straight ahead or behind, a sector tells a segment's heading [rad]
-ERROR_DECAY_IMAGES = 6.0  # Images after which the errors of consecutive turns on a segment have changed
 CHUNK = 32  # Pairs that are compared at once, so that they fit into the processor's cache
 
 
@@ -95,12 +93,8 @@ def disambiguate(hypotheses: Hypotheses, turn: np.ndarray, std: np.ndarray) -> H
     """Weigh hypotheses by the turn that the wheels measured, and add the whole turns that it tells.
 
     The wheels choose, and never change an angle by anything but whole turns. Where they cannot tell peaks apart, all
-    remain, with their weights.
-
-    Args:
-        hypotheses: Of P pairs.
-        turn: Turn measured by the wheels (P,) [rad], of any size; NaN where they measured none.
-        std: Its standard deviation (P,) [rad].
+    remain, with their weights. The turn (P,) [rad] is of any size, with its standard deviation (P,) [rad], and NaN
+    where the wheels measured none.
     """
     turn, std = np.asarray(turn, float)[:, None], np.asarray(std, float)[:, None]
     known = np.isfinite(turn) & np.isfinite(std)
@@ -120,33 +114,6 @@ def disambiguate(hypotheses: Hypotheses, turn: np.ndarray, std: np.ndarray) -> H
         ]
     )
     return _pack(len(score), pair, found)
-
-
-def follow(images: np.ndarray, lens: Lens) -> tuple[np.ndarray, np.ndarray]:
-    """Heading of each image of a straight segment against the first, and its standard deviation, both (n,) [rad].
-
-    It adds up the turns between consecutive images (n, rings, sectors, channels), a few centimetres apart. What the
-    robot passes pulls them to its side, so sectors count by 1 / (1 + (sin azimuth / sin ``FORWARD_RAD``)^2)^2: ahead
-    and behind, driving on moves no azimuth. The errors that are left last for a while: their correlation is taken as
-    exp(-distance / ``ERROR_DECAY_IMAGES``). NaN from where an image is blank.
-    """
-    rings, sectors = images.shape[1:3]
-    grid = make_grid(rings, sectors, lens)
-    aside = np.sin(2.0 * np.pi * (np.arange(sectors) + 0.5) / sectors) / np.sin(FORWARD_RAD)
-    grid = replace(grid, weight=(grid.weight / (1.0 + aside**2) ** 2).astype(np.float32))
-    turn, std = [np.zeros(1)], [np.zeros(1)]
-    for start in range(0, len(images) - 1, CHUNK):
-        some = images[start : start + CHUNK + 1]
-        spectra = take_spectra(some, grid)
-        seen = _contrast(_sum(grid, spectra, spectra).real, some, sectors) > MIN_CONTRAST
-        fitted = fit_rotation(spectra[:-1], spectra[1:], np.zeros(len(some) - 1), grid)
-        turn.append(np.where(seen[:-1] & seen[1:], fitted.angle, np.nan))
-        std.append(fitted.std)
-    heading, scale = np.cumsum(np.concatenate(turn))[: len(images)], np.concatenate(std)[: len(images)]
-    apart = np.abs(np.subtract.outer(np.arange(len(scale)), np.arange(len(scale))))
-    covariance = np.outer(scale, scale) * np.exp(-apart / ERROR_DECAY_IMAGES)
-    total = np.sqrt(np.diagonal(covariance.cumsum(axis=0).cumsum(axis=1)))
-    return heading, np.where(np.isfinite(heading), total, np.nan)
 
 
 def _find(first: np.ndarray, second: np.ndarray, lens: Lens) -> tuple[np.ndarray, np.ndarray]:
@@ -221,12 +188,8 @@ def compare_at_horizon(
 ) -> Hypotheses:
     """The likeliest hypothesis of each pair, fitted again to the rings nearest the horizon, for ``find_lean``.
 
-    Args:
-        first: Polar images (P, rings, sectors, channels).
-        second: Polar images of the same shape.
-        angle: Angles turned (P,) [rad]; NaN where they are not known.
-        lens: The lens of the images.
-        hidden: Width of the outermost part of the images that shows nothing [rad].
+    Polar images (P, rings, sectors, channels), of which an outermost part of the width ``hidden`` [rad] shows nothing,
+    were taken before and after turns by angles (P,) [rad]; NaN where these are not known.
     """
     grid = make_grid(*first.shape[1:3], lens)
     cosine, last = grid.rays[:, :1, 2], np.cos(lens.half_angle - hidden)

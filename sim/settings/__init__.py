@@ -60,7 +60,7 @@ class SimSettings(Group):
     deployment: DeploymentSettings = DeploymentSettings()
 
     @model_validator(mode="after")
-    def _segments_have_room(self) -> "SimSettings":
+    def _drive_and_test_grid_fit_into_a_plane(self) -> "SimSettings":
         if self.world == "room":
             return self
         side_m = PLANE_SIDE_M if self.world == "landmarks" else PLANE_SIDE_M - 2 * PLANE_CLEARANCE_M
@@ -70,12 +70,6 @@ class SimSettings(Group):
                 f"drive.spacing_m {self.drive.spacing_m} m must be at most a quarter of the longest segment in the "
                 f"{self.world} world, {longest:g} m"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _a_test_grid_fits_into_memory(self) -> "SimSettings":
-        if self.world == "room":
-            return self
         values = self.landmarks.count if self.world == "landmarks" else self.lidar.rays * self.lidar.headings
         least_m = PLANE_SIDE_M / (math.sqrt(MAX_GRID_DISTANCES / (values * self.grid.headings)) - 1.0)
         if self.grid.spacing_m < least_m:

@@ -33,13 +33,9 @@ class RobotSettings(Group):
         return {name: value for name, value in write(self).items() if name not in own or self.mjcf is not None}
 
     @model_validator(mode="after")
-    def _only_our_wheel_can_be_scaled(self) -> "RobotSettings":
+    def _only_our_wheel_can_be_scaled_and_only_an_own_robot_has_names(self) -> "RobotSettings":
         if self.mjcf is not None and self.wheel_radius_error:
             raise ValueError(f"wheel_radius_error {self.wheel_radius_error:g} must be 0 with a robot of your own")
-        return self
-
-    @model_validator(mode="after")
-    def _only_an_own_robot_has_names(self) -> "RobotSettings":
         for name in OWN_ROBOT_NAMES if self.mjcf is None else ():
             if (value := getattr(self, name)) != RobotSettings.model_fields[name].default:
                 raise ValueError(f"{name} {shorten(value)} names a part of a robot of your own, and needs mjcf")
@@ -166,11 +162,7 @@ class DeploymentImageFaultSettings(Group):
     """Largest size of a round image as a JPEG file [kB]; None: by image_faults.jpeg_kb."""
 
 
-class MountSettings(Group):
-    """A mounting of the camera."""
-
-
-class CameraMountSettings(MountSettings):
+class CameraMountSettings(Group):
     """Faults of the camera's mounting and of its motion: they are rendered, in training and in deployment."""
 
     roll_deg: float = Field(default=0.0, ge=-30.0, le=30.0)
@@ -190,7 +182,7 @@ class CameraMountSettings(MountSettings):
     round image with a diameter of 480 [px]."""
 
 
-class DeploymentMountSettings(MountSettings):
+class DeploymentMountSettings(Group):
     """How the camera is mounted in deployment, after it was knocked or mounted again; None: as in training."""
 
     roll_deg: float | None = Field(default=None, ge=-30.0, le=30.0)

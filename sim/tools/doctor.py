@@ -13,6 +13,7 @@ from pathlib import Path
 
 from packaging.requirements import Requirement
 
+from sim.files.atomic import find_existing
 from sim.processes import usable_cores
 from sim.sensors.camera.gl import EGL_FIX
 
@@ -43,16 +44,8 @@ class Check:
 
 def check_all(runs: Path = Path("runs")) -> list[Check]:
     """Check everything that a run needs, without raising; ``runs`` is where results would be written."""
-    return [
-        check_python(),
-        *check_packages(),
-        *check_extras(),
-        check_renderer(),
-        check_vulkan(),
-        check_machine(),
-        check_folder(runs),
-        check_disk(runs),
-    ]
+    drawing, results = [check_renderer(), check_vulkan()], [check_folder(runs), check_disk(runs)]
+    return [check_python(), *check_packages(), *check_extras(), *drawing, check_machine(), *results]
 
 
 def check_python(found: tuple[int, int] = sys.version_info[:2]) -> Check:
@@ -68,7 +61,7 @@ def check_packages(distribution: str = "deepgps") -> list[Check]:
         wanted = _list_requirements(distribution)
     except PackageNotFoundError:
         return [Check("packages", False, f"{distribution} itself is not installed", "make setup")]
-    found = [f"{one.name} {version(one.name)}" for one in wanted if _is_installed(one)]
+    found = [f"{one.name} {have}" for one in wanted if (have := _find_version(one))]
     faults = [Check("packages", False, fault, _install([one])) for one in wanted if (fault := _find_fault(one))]
     return [Check("packages", True, ", ".join(found)), *faults]
 
@@ -101,33 +94,28 @@ def _list_requirements(distribution: str, extra: str = "") -> list[Requirement]:
     return [one for one in wanted if one not in always and one.marker and one.marker.evaluate({"extra": extra})]
 
 
-def _is_installed(wanted: Requirement) -> bool:
+def _find_version(wanted: Requirement) -> str:
+    """Return the version of a package, or an empty text if it is not installed."""
     try:
-        version(wanted.name)
+        return version(wanted.name)
     except PackageNotFoundError:
-        return False
-    return True
+        return ""
 
 
 def _find_fault(wanted: Requirement) -> str:
     """Return what is wrong with an installed package, or an empty text."""
-    if not _is_installed(wanted):
+    have = _find_version(wanted)
+    if not have:
         return f"{wanted.name} is missing"
-    have = version(wanted.name)
     return "" if wanted.specifier.contains(have, prereleases=True) else f"{wanted.name} {have} does not fit"
 
 
 def check_renderer() -> Check:
     """Report the OpenGL backend and its renderer string, queried in a child process that a driver may crash."""
     try:
+        command, home = [sys.executable, "-c", _DRAWING_SCRIPT], Path(__file__).parents[2]
         child = subprocess.run(
-            [sys.executable, "-c", _DRAWING_SCRIPT],
-            cwd=Path(__file__).parents[2],
-            capture_output=True,
-            text=True,
-            errors="replace",
-            timeout=60,
-            check=False,
+            command, cwd=home, capture_output=True, text=True, errors="replace", timeout=60, check=False
         )
     except subprocess.TimeoutExpired:
         return Check("renderer", False, "opening an OpenGL context takes more than 60 s", EGL_FIX)
@@ -166,7 +154,7 @@ def check_machine() -> Check:
 def check_folder(runs: Path) -> Check:
     """Check that results can be written to ``runs``."""
     try:
-        with tempfile.TemporaryFile(dir=_nearest(runs)):
+        with tempfile.TemporaryFile(dir=find_existing(runs)):
             return Check("folder", True, f"{runs.absolute()} can be written")
     except OSError as error:
         text = f"{runs.absolute()} cannot be written ({error.strerror})"
@@ -175,11 +163,6 @@ def check_folder(runs: Path) -> Check:
 
 def check_disk(runs: Path, least_gb: float = MIN_FREE_GB) -> Check:
     """Check that there is disk space for results."""
-    free_gb = shutil.disk_usage(_nearest(runs)).free / 1e9
-    ok = free_gb >= least_gb
-    fix = "" if ok else f"free {least_gb:g} GB, or give a folder on another disk with --out DIR"
-    return Check("disk", ok, f"{free_gb:.1f} GB free", fix)
-
-
-def _nearest(folder: Path) -> Path:
-    return next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
+    free_gb = shutil.disk_usage(find_existing(runs)).free / 1e9
+    fix = f"free {least_gb:g} GB, or give a folder on another disk with --out DIR" if free_gb < least_gb else ""
+    return Check("disk", not fix, f"{free_gb:.1f} GB free", fix)

@@ -17,6 +17,7 @@ from sim.geometry import FreeSpace
 from sim.robot.world import RoomWorld
 from sim.rooms.build import build_room
 from sim.rooms.flat import MARK as ROOM_MARK
+from sim.rooms.free_space import box_of
 from sim.sensors.camera import gl
 from sim.sensors.camera.fisheye import Fisheye
 from sim.settings import CameraSettings, DeploymentSettings, RoomKind, RoomSettings, RoomShape, SimSettings
@@ -110,12 +111,10 @@ def _draw_perspective(model: mujoco.MjModel) -> np.ndarray:
     view.distance = 1.02 * float(np.hypot(*(high - low)[:2])) + 0.7
     azimuth, elevation = np.radians((view.azimuth, view.elevation))
     ahead = np.array((np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)))
-    eye = view.lookat - view.distance * ahead
-    hidden = _ceiling(model)
+    eye, data, hidden = view.lookat - view.distance * ahead, mujoco.MjData(model), _ceiling(model)
+    mujoco.mj_kinematics(model, data)
     for body in (number for number in range(model.nbody) if model.body(number).name.startswith("wall_")):
-        rotation = np.empty(9)
-        mujoco.mju_quat2Mat(rotation, model.body_quat[body])
-        if (eye - model.body_pos[body]) @ -rotation.reshape(3, 3)[:, 1] < 0:
+        if (eye - data.xpos[body]) @ data.xmat[body].reshape(3, 3)[:, 1] > 0:
             hidden |= (model.geom_bodyid == body) | (model.body_parentid[model.geom_bodyid] == body)
     return _render(model, view, hidden, (ROW_PX, PERSPECTIVE_PX))
 
@@ -177,13 +176,9 @@ def _extent(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
     """Return the lower and upper corner (3,) of all that is drawn except planes [m]."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    finite = (model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE) & (model.geom_group <= 2)
-    radius = model.geom_rbound[finite][:, None]
-    boxes = model.geom_aabb[finite, 3:]
-    rotation = np.abs(data.geom_xmat[finite].reshape(-1, 3, 3))
-    half = np.minimum(np.einsum("nij,nj->ni", rotation, boxes), radius)
-    centre = data.geom_xpos[finite]
-    return (centre - half).min(axis=0), (centre + half).max(axis=0)
+    finite = np.flatnonzero((model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE) & (model.geom_group <= 2))
+    low, high = zip(*(box_of(model, data, geom) for geom in finite.tolist()), strict=True)
+    return np.min(low, axis=0), np.max(high, axis=0)
 
 
 def _beside(pictures: Sequence[np.ndarray]) -> np.ndarray:

@@ -26,7 +26,8 @@ class ExactRobot:
         return self._angle
 
     def ranges(self, reach_m: float = REACH_M, turned_rad: float = 0.0) -> np.ndarray:
-        return self.world.ranges_at(self.pose + (0.0, 0.0, turned_rad), reach_m)
+        x, y, yaw = self.pose.tolist()
+        return self.world._finder.measure(x, y, yaw + turned_rad, reach_m)
 
     def bumped(self) -> bool:
         return False

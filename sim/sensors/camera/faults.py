@@ -2,13 +2,15 @@
 
 They are pure functions, like those of the encoders: a recording with such faults is derived from the one without, and
 nothing is rendered again. Image values are taken as sRGB (IEC 61966-2-1), as in a camera's files; all faults act on the
-linear light that they encode. Light that the image without faults cuts off at white stays cut off.
+linear light that they encode. Light that the image without faults cuts off at white stays cut off. Glare and JPEG
+compression are faults of the round image that the camera sends, before it is unwrapped.
 """
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import partial
 
+import cv2
 import numpy as np
 
 from sim.rng import stream
@@ -22,31 +24,12 @@ MAST_LIGHT = 0.05  # Light of a mast that hides a part of the view, as a fractio
 _STEPS = 65535  # steps of linear light, far finer than any sRGB step
 
 
-class CameraStreams(NamedTuple):
-    """Separate RNG streams for noise and lean, in drive, tests and turns, so that none shifts another."""
-
-    noise: np.random.Generator
-    test_noise: np.random.Generator
-    turn_noise: np.random.Generator
-    lean: np.random.Generator
-    test_lean: np.random.Generator
-    turn_lean: np.random.Generator
-
-
-def spawn_streams(seed: int) -> CameraStreams:
-    """Return the camera's RNG streams for a scenario's seed."""
-    return CameraStreams(*(stream(seed, "camera", name) for name in CameraStreams._fields))
-
-
 def make_measures(settings: SimSettings, seed: int) -> Measures:
     """Return the functions that apply the faults to images, at test positions those in deployment."""
-    chance, faults = spawn_streams(seed), settings.image_faults
+    faults = settings.image_faults
     deployed = faults.override(settings.deployment.image_faults)
-    return Measures(
-        make_develop(faults, chance.noise),
-        make_develop(deployed, chance.test_noise),
-        make_develop(faults, chance.turn_noise),
-    )
+    parts = {"noise": faults, "test_noise": deployed, "turn_noise": faults}
+    return Measures(*(make_develop(some, stream(seed, "camera", name)) for name, some in parts.items()))
 
 
 def drop_faults(settings: SimSettings) -> SimSettings:
@@ -188,6 +171,46 @@ FAULTS = (
     ImageFault({"read_noise": "read noise {:g}", "shot_noise": "shot noise {:g}"}, _add_noise),
 )
 """Faults in the order in which they act on the light."""
+FACE_PX = 240  # Smallest side of the faces that it is drawn from: near the zenith a pixel is then 1.2 of a face's
+BRIGHT_LIGHT, LAMP_LIGHT = 0.85, 30.0
+"""Least light of a lamp or a window in an image, and what it is in truth, for an image ends at white; white = 1."""
+SCATTERS = ((0.5, 1.5), (0.5, 16.0))
+"""Scattered light: share, and standard deviation of the angle [deg]; a halo and a veil."""
+COARSENESS = 4  # Pixels of the image, along each side, that are one in scattered light
 RAW_TITLES = {"glare": "glare {:g}", "jpeg_kb": "JPEG of {:g} kB"}
 """Wording of the faults of the round image, as those above."""
 _FAULTLESS_VALUES = {name: ImageFaultSettings.model_fields[name].default for fault in FAULTS for name in fault.titles}
+
+
+def add_glare(light: np.ndarray, glare: float, px_per_deg: float) -> np.ndarray:
+    """Linear light (px, px, 3) float32 of a round image, with a fraction of the light of lamps and windows scattered.
+
+    Glare does not dim what scatters: what was white stays white.
+    """
+    bright = light.max(axis=2, keepdims=True) >= BRIGHT_LIGHT
+    rows, columns = light.shape[0] // COARSENESS, light.shape[1] // COARSENESS
+    lamps = cv2.resize(light * bright * np.float32(LAMP_LIGHT), (columns, rows), interpolation=cv2.INTER_AREA)
+    blur = partial(cv2.GaussianBlur, lamps, (0, 0), borderType=cv2.BORDER_CONSTANT)
+    scattered = np.sum([share * blur(sigmaX=deg * px_per_deg / COARSENESS) for share, deg in SCATTERS], axis=0)
+    return light + np.float32(glare) * cv2.resize(scattered, light.shape[1::-1], interpolation=cv2.INTER_LINEAR)
+
+
+def compress(image: np.ndarray, jpeg_kb: float) -> np.ndarray:
+    """JPEG file (n,) uint8 of an image (px, px, 3) uint8, at the best quality whose file is no larger [kB].
+
+    The file at the least quality, if even that is larger.
+    """
+    low, high = 1, 101
+    file = _encode_jpeg(image, low)
+    while high - low > 1:
+        middle = (low + high) // 2
+        tried = _encode_jpeg(image, middle)
+        if len(tried) <= 1000 * jpeg_kb:
+            low, file = middle, tried
+        else:
+            high = middle
+    return file
+
+
+def _encode_jpeg(image: np.ndarray, quality: int) -> np.ndarray:
+    return cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])[1]

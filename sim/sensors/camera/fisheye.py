@@ -58,16 +58,12 @@ def map_rays(faces: list[Face], rays: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 def edge_planes(faces: list[Face]) -> np.ndarray:
     """Inward unit normals of each face's four edge planes, in the camera's frame (faces, 4, 3)."""
-    normals = [
+    planes = np.array(
         [
-            face.axes[0] - face.window[0] * face.axes[2],
-            face.window[1] * face.axes[2] - face.axes[0],
-            face.axes[1] - face.window[2] * face.axes[2],
-            face.window[3] * face.axes[2] - face.axes[1],
+            [right - first * ahead, last * ahead - right, up - bottom * ahead, top * ahead - up]
+            for (right, up, ahead), (first, last, bottom, top) in ((face.axes, face.window) for face in faces)
         ]
-        for face in faces
-    ]
-    planes = np.array(normals)
+    )
     return planes / np.linalg.norm(planes, axis=-1, keepdims=True)
 
 

@@ -18,11 +18,10 @@ from sim.rng import stream
 from sim.rooms.build import build_room
 from sim.rooms.deployment import change_room
 from sim.rooms.free_space import START, find_free_space
-from sim.sensors.camera.faults import RAW_TITLES, decode, encode
+from sim.sensors.camera.faults import FACE_PX, RAW_TITLES, add_glare, compress, decode, encode
 from sim.sensors.camera.fisheye import Dress, Fisheye
-from sim.sensors.camera.illumination import KINDS, Illumination, Sources, expose, find_sources, hang_lamp, mix
+from sim.sensors.camera.illumination import KINDS, Sources, expose, find_sources, hang_lamp, mix, open_illumination
 from sim.sensors.camera.mount import CIRCLE_PX, drive_on
-from sim.sensors.camera.raw_image import FACE_PX, add_glare, compress
 from sim.sensors.camera.unwrap import RoundImage, draw_polar
 from sim.sensors.catalog import Opened
 from sim.settings import SimSettings
@@ -70,7 +69,7 @@ class Persons:
 
     def __init__(self, space: FreeSpace, count: int, seed: int = 0) -> None:
         """Find places for so many persons in the space where one has room."""
-        self._places = _list_free(space)
+        self._places = space.places()
         self._space, self._count, self._seed = space, count, seed
         self._rng = [stream(seed, "walk", number) for number in range(count)]
         self._stops = [[self._places[rng.integers(len(self._places))]] for rng in self._rng]
@@ -125,7 +124,7 @@ def _is_apart(places: np.ndarray, robot: np.ndarray) -> np.ndarray:
 
 def place_lamp(space: FreeSpace, room: mujoco.MjModel, seed: int = 0) -> np.ndarray:
     """Place (3,) [m] of a lamp above a random place where a person has room, below the ceiling if the room has one."""
-    places = _list_free(space)
+    places = space.places()
     place = np.array([*places[stream(seed, "lamp").integers(len(places))], PERSON_HEIGHT_M / 2])
     data = mujoco.MjData(room)
     mujoco.mj_kinematics(room, data)
@@ -138,12 +137,6 @@ def draw_lamp(place: np.ndarray) -> list[Shape]:
     """A glowing lamp at a place (3,) [m]."""
     size = (LAMP_RADIUS_M, LAMP_RADIUS_M, LAMP_RADIUS_M)
     return [Shape(mujoco.mjtGeom.mjGEOM_SPHERE, size, place, np.eye(3), (1.0, 1.0, 1.0), 1.0)]
-
-
-def _list_free(space: FreeSpace) -> np.ndarray:
-    """Middles (n, 2) [m] of the free cells that can be reached."""
-    row, column = np.nonzero(space.reachable)
-    return space.origin + space.cell_m * np.stack([column, row], axis=1)
 
 
 def _draw_person(place: np.ndarray, rng: np.random.Generator, heading: float | None = None) -> list[Shape]:
@@ -241,5 +234,5 @@ def _open_relight(
     fraction = {"lamps": deployment.light * deployment.lamps, "windows": deployment.light * daylight}
     if lamp is not None:
         sources[NEW_LAMP], fraction[NEW_LAMP] = hang_lamp(lamp), deployment.light
-    illumination = Illumination(model, settings.camera, settings.camera_mount, sources)
-    return lambda light, data, lean, dress: mix(light, illumination.draw(data, lean, dress, look), fraction)
+    draw = open_illumination(model, settings.camera, settings.camera_mount, sources, look)
+    return lambda light, data, lean, dress: mix(light, draw(data, lean, dress), fraction)

@@ -88,43 +88,40 @@ FADING_M2 = 4.0  # A light fades to 1 / (1 + distance^2 / FADING_M2) [m2]
 QUADS = 8  # Parts of a box's face along each side; MuJoCo computes light at their corners alone
 
 
+Draw = Callable[[mujoco.MjData, np.ndarray | None, Dress], dict[str, np.ndarray]]
+"""(state with its kinematics, lean of the camera (2,) [rad], what is added to the scene) -> illumination by each kind
+of source (rows, columns, 3), as a fraction of white."""
 UNLIT_REFLECTANCE = 0.15  # Reflectance of lamps and panes that do not shine
 MIN_ILLUMINATION = 1e-3  # Least illumination by which is divided, as a fraction of white
 
 
-class Illumination:
-    """Draws the illumination by each kind of source as the fisheye camera sees it; one OpenGL context for each kind."""
+def open_illumination(
+    model: mujoco.MjModel,
+    camera: CameraSettings,
+    mount: CameraMountSettings,
+    sources: Mapping[str, Sources],
+    look: Callable = Fisheye.polar,
+) -> Draw:
+    """Open what draws the illumination by each kind of source as the fisheye camera sees it, an OpenGL context each.
 
-    def __init__(
-        self,
-        model: mujoco.MjModel,
-        camera: CameraSettings,
-        mount: CameraMountSettings,
-        sources: Mapping[str, Sources],
-    ) -> None:
-        self._sources = sources
-        self._cameras = {kind: Fisheye(_whiten(model, sources, kind), camera, mount) for kind in sources}
+    What ``dress`` adds to the scene, and the room does not have, becomes white too.
+    """
+    cameras = {kind: Fisheye(_whiten(model, sources, kind), camera, mount) for kind in sources}
 
-    def draw(
-        self, data: mujoco.MjData, lean: np.ndarray | None, dress: Dress, look: Callable = Fisheye.polar
-    ) -> dict[str, np.ndarray]:
-        """Illumination (rows, columns, 3) by each kind of source, as a fraction of white, of a state with its
-        kinematics.
+    def light(scene: mujoco.MjvScene, dress: Dress, kind: str) -> None:
+        before = scene.ngeom
+        dress(scene)
+        for geom in scene.geoms[before : scene.ngeom]:
+            geom.rgba = np.ones(4, np.float32)
+        _set_lights(scene, sources[kind])
 
-        The camera leans (2,) [rad]; ``dress`` adds to the scene what the room does not have; it becomes white too.
-        """
-
-        def light(scene: mujoco.MjvScene, sources: Sources) -> None:
-            before = scene.ngeom
-            dress(scene)
-            for geom in scene.geoms[before : scene.ngeom]:
-                geom.rgba = np.ones(4, np.float32)
-            _set_lights(scene, sources)
-
+    def draw(data: mujoco.MjData, lean: np.ndarray | None, dress: Dress) -> dict[str, np.ndarray]:
         return {
-            kind: look(camera, data, lean=lean, dress=partial(light, sources=self._sources[kind])) / np.float32(255.0)
-            for kind, camera in self._cameras.items()
+            kind: look(one, data, lean=lean, dress=partial(light, dress=dress, kind=kind)) / np.float32(255.0)
+            for kind, one in cameras.items()
         }
+
+    return draw
 
 
 def mix(light: np.ndarray, by: Mapping[str, np.ndarray], fraction: Mapping[str, float]) -> np.ndarray:

@@ -29,8 +29,8 @@ class TagCamera(Offscreen):
     context can be opened; the message names the fix.
     """
 
-    def __init__(self, model: mujoco.MjModel, settings: TagCameraSettings, site: str = NAME) -> None:
-        self._model, self._site = model, model.site(ROBOT_PREFIX + site).id
+    def __init__(self, model: mujoco.MjModel, settings: TagCameraSettings) -> None:
+        self._model, self._site = model, model.site(ROBOT_PREFIX + NAME).id
         self._robot = np.array([model.body(body).name.startswith(ROBOT_PREFIX) for body in model.geom_bodyid])
         self._scene, self._option, self._view = make_scene(model)
         across = np.tan(np.radians(FIELD_OF_VIEW_DEG) / 2)

@@ -6,7 +6,6 @@ towards the robot's front, x is the robot's left: something seen from below is m
 """
 
 from dataclasses import dataclass
-from typing import Literal
 
 import cv2
 import numpy as np
@@ -53,14 +52,13 @@ def unwrap_fisheye(
         InputError: The images have the wrong shape or type, or the centre, a size or the angle is impossible.
     """
     images = np.asarray(images)
-    _check(images, centre, radius_px, rings, sectors, forward_deg)
-    across, around = oversample(radius_px, rings, sectors)
-    warp = _make_warp(centre, radius_px, rings * across, sectors * around, forward_deg, lens, polar_lens)
-    batch = images if images.ndim == 4 else images[None]
-    polar = np.empty((len(batch), rings, sectors, 3), np.uint8)
-    for index, image in enumerate(batch):
-        polar[index] = draw_polar(image, warp, rings, sectors)
-    return polar if images.ndim == 4 else polar[0]
+    circle = RoundImage(centre, radius_px, forward_deg)
+    circle.check(images, rings, sectors)
+    points = circle.find_points(rings, sectors, lens, polar_lens)
+    if images.ndim == 3:
+        return draw_polar(images, points, rings, sectors)
+    polar = [draw_polar(image, points, rings, sectors) for image in images]
+    return np.array(polar, np.uint8).reshape(-1, rings, sectors, 3)
 
 
 def oversample(radius_px: float, rings: int, sectors: int) -> tuple[int, int]:
@@ -76,48 +74,6 @@ def draw_polar(image: np.ndarray, warp: tuple[np.ndarray, np.ndarray], rings: in
     return cv2.resize(fine, (sectors, rings), interpolation=cv2.INTER_AREA)
 
 
-def _make_warp(
-    centre: tuple[float, float],
-    radius_px: float,
-    rings: int,
-    sectors: int,
-    forward_deg: float,
-    lens: Lens | None,
-    polar_lens: Lens | None,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Column and row of the raw image at each point of a polar image, both (rings, sectors) float32 [px]."""
-    radius = (np.arange(rings) + 0.5)[:, None] / rings
-    if lens is not None and polar_lens is not None:
-        angle = polar_lens.angle(radius)
-        radius = np.where(angle <= lens.half_angle, lens.radius(angle), np.nan)
-    # The view from below is a mirror image of the view from above: counter-clockwise there is clockwise here.
-    azimuth = 2 * np.pi * (np.arange(sectors) + 0.5) / sectors + np.radians(forward_deg)
-    column = centre[0] + radius_px * radius * np.sin(azimuth)
-    row = centre[1] - radius_px * radius * np.cos(azimuth)
-    return tuple(np.nan_to_num(axis, nan=-1e6).astype(np.float32) for axis in (column, row))
-
-
-def _check(
-    images: np.ndarray, centre: tuple[float, float], radius_px: float, rings: int, sectors: int, forward_deg: float
-) -> None:
-    if images.ndim not in {3, 4} or images.shape[-1] != 3 or images.dtype != np.uint8 or 0 in images.shape[-3:]:
-        raise InputError(
-            f"images {images.shape} {images.dtype}: must be (height, width, 3) or (N, height, width, 3) uint8 RGB"
-        )
-    height, width = images.shape[-3:-1]
-    if max(height, width) > MAX_SIDE_PX:
-        raise InputError(f"images {images.shape}: height and width must be at most {MAX_SIDE_PX} px")
-    column, row = centre
-    if not (0 <= column <= width - 1 and 0 <= row <= height - 1):
-        raise InputError(f"centre {tuple(centre)}: must be column and row in an image of {width} x {height} px")
-    if not 1 <= radius_px <= MAX_SIDE_PX:
-        raise InputError(f"radius_px {radius_px}: must be from 1 to {MAX_SIDE_PX}")
-    if not (1 <= rings <= 1024 and 1 <= sectors <= 4096):
-        raise InputError(f"rings {rings} and sectors {sectors}: must be from 1 to 1024, and from 1 to 4096")
-    if not abs(forward_deg) <= MAX_YAW_DEG:  # also refuses NaN
-        raise InputError(f"forward_deg {forward_deg}: must be from -{MAX_YAW_DEG} to {MAX_YAW_DEG}")
-
-
 @dataclass(frozen=True)
 class RoundImage:
     """Where the image circle is in the raw images of a camera that looks up, as for ``unwrap_fisheye``."""
@@ -126,33 +82,47 @@ class RoundImage:
     radius_px: float  # Distance of the rim from the centre [px]
     forward_deg: float = 0.0  # Direction of the robot's forward axis, clockwise from the image's top [deg]
 
-    def find_points(self, rings: int, sectors: int) -> tuple[np.ndarray, np.ndarray]:
-        """Columns and rows that ``draw_polar`` takes, the same for all images of the camera."""
+    def find_points(
+        self, rings: int, sectors: int, lens: Lens | None = None, polar_lens: Lens | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Columns and rows that ``draw_polar`` takes, the same for all images of the camera, both float32 [px]."""
         across, around = oversample(self.radius_px, rings, sectors)
-        size = (rings * across, sectors * around)
-        return _make_warp(self.centre, self.radius_px, *size, self.forward_deg, None, None)
+        radius = (np.arange(rings * across) + 0.5)[:, None] / (rings * across)
+        if lens is not None and polar_lens is not None:
+            angle = polar_lens.angle(radius)
+            radius = np.where(angle <= lens.half_angle, lens.radius(angle), np.nan)
+        # The view from below is a mirror image of the view from above: counter-clockwise there is clockwise here.
+        azimuth = 2 * np.pi * (np.arange(sectors * around) + 0.5) / (sectors * around) + np.radians(self.forward_deg)
+        column = self.centre[0] + self.radius_px * radius * np.sin(azimuth)
+        row = self.centre[1] - self.radius_px * radius * np.cos(azimuth)
+        return tuple(np.nan_to_num(axis, nan=-1e6).astype(np.float32) for axis in (column, row))
 
-    def check(self, image: np.ndarray, rings: int, sectors: int) -> None:
-        """Raise InputError if this cannot be the circle in a raw image (height, width, 3) uint8."""
-        _check(image, self.centre, self.radius_px, rings, sectors, self.forward_deg)
+    def check(self, images: np.ndarray, rings: int, sectors: int) -> None:
+        """Raise InputError if this cannot be the circle in raw images (..., height, width, 3) uint8, one or several."""
+        if images.ndim not in {3, 4} or images.shape[-1] != 3 or images.dtype != np.uint8 or 0 in images.shape[-3:]:
+            raise InputError(
+                f"images {images.shape} {images.dtype}: must be (height, width, 3) or (N, height, width, 3) uint8 RGB"
+            )
+        height, width = images.shape[-3:-1]
+        if max(height, width) > MAX_SIDE_PX:
+            raise InputError(f"images {images.shape}: height and width must be at most {MAX_SIDE_PX} px")
+        column, row = self.centre
+        if not (0 <= column <= width - 1 and 0 <= row <= height - 1):
+            raise InputError(
+                f"centre {tuple(self.centre)}: must be column and row in an image of {width} x {height} px"
+            )
+        if not 1 <= self.radius_px <= MAX_SIDE_PX:
+            raise InputError(f"radius_px {self.radius_px}: must be from 1 to {MAX_SIDE_PX}")
+        if not (1 <= rings <= 1024 and 1 <= sectors <= 4096):
+            raise InputError(f"rings {rings} and sectors {sectors}: must be from 1 to 1024, and from 1 to 4096")
+        if not abs(self.forward_deg) <= MAX_YAW_DEG:  # also refuses NaN
+            raise InputError(f"forward_deg {self.forward_deg}: must be from -{MAX_YAW_DEG} to {MAX_YAW_DEG}")
 
 
-Model = Literal["equidistant", "plumb_bob", "omni"]
-MODELS: dict[str, Model] = {
-    **dict.fromkeys(("equidistant", "fisheye", "kannala_brandt"), "equidistant"),
-    **dict.fromkeys(("plumb_bob", "rational_polynomial"), "plumb_bob"),
-    "omni": "omni",
-}
-"""Model by the names that drivers and calibration programs use; the rational one has more coefficients of OpenCV's, and
-the first of omni is the distance of its centres, xi."""
-COEFFICIENTS = {
-    "equidistant": 4,
-    "fisheye": 4,
-    "kannala_brandt": 4,
-    "plumb_bob": 5,
-    "rational_polynomial": 8,
-    "omni": 5,
-}
+FISHEYES, PINHOLES = ("equidistant", "fisheye", "kannala_brandt"), ("plumb_bob", "rational_polynomial")
+COEFFICIENTS = {**dict.fromkeys(FISHEYES, 4), "plumb_bob": 5, "rational_polynomial": 8, "omni": 5}
+"""Number of coefficients by the names of models that drivers and calibration programs use; those of pinholes are
+OpenCV's, and the first of omni is the distance of its centres, xi."""
 MAX_FISHEYE_ANGLE, MAX_PINHOLE_ANGLE = np.radians(95.0), np.radians(80.0)
 """Largest angle from the axis that is used, of a fisheye and of a pinhole with distortion [rad]."""
 STEPS = 951
@@ -170,7 +140,7 @@ class RawCamera:
 
     def project(self, theta: np.ndarray, azimuth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Column and row [px] of directions by their angles from the optical axis, and from x to y [rad]."""
-        if MODELS[self.model] == "equidistant":
+        if self.model in FISHEYES:
             radius = distort(theta, self.coefficients)
             x, y = radius * np.cos(azimuth), radius * np.sin(azimuth)
             return self.focal[0] * x + self.centre[0], self.focal[1] * y + self.centre[1]
@@ -187,7 +157,7 @@ class RawCamera:
     def find_half_angle(self, circle_px: float | None = None) -> float:
         """Largest angle from the axis [rad] up to which all directions are inside the image and the image circle, if
         any [px]."""
-        widest = MAX_PINHOLE_ANGLE if MODELS[self.model] == "plumb_bob" else MAX_FISHEYE_ANGLE
+        widest = MAX_PINHOLE_ANGLE if self.model in PINHOLES else MAX_FISHEYE_ANGLE
         theta, azimuth = np.linspace(0.0, widest, STEPS)[:, None], np.linspace(0.0, 2 * np.pi, 360, endpoint=False)
         column, row = self.project(theta, azimuth[None])
         away = np.hypot(column - self.centre[0], row - self.centre[1])
@@ -201,8 +171,8 @@ class RawCamera:
 def check_camera(camera: RawCamera) -> None:
     """Raise InputError if intrinsics are impossible."""
     (width, height), (column, row) = camera.size, camera.centre
-    if camera.model not in MODELS:
-        raise InputError(f"distortion model {camera.model!r}: must be {', '.join(MODELS)}")
+    if camera.model not in COEFFICIENTS:
+        raise InputError(f"distortion model {camera.model!r}: must be {', '.join(COEFFICIENTS)}")
     if not np.isfinite(camera.coefficients).all():
         raise InputError(f"distortion coefficients {camera.coefficients}: must be finite")
     if not (np.isfinite([*camera.focal, *camera.centre]).all() and min(camera.focal) > 0):
@@ -215,13 +185,7 @@ class Unwrapping:
     """Makes polar images of a camera's raw images."""
 
     def __init__(
-        self,
-        camera: RawCamera,
-        lens: Lens,
-        rings: int,
-        sectors: int,
-        forward_deg: float = 0.0,
-        mirrored: bool = False,
+        self, camera: RawCamera, lens: Lens, rings: int, sectors: int, forward_deg: float = 0.0, mirrored: bool = False
     ) -> None:
         """Prepare the maps from a camera to a polar image of a lens in whose rim everything must be seen.
 

@@ -1,17 +1,15 @@
-"""Deriving: the same bytes as collecting, in every world; and what does not fit is refused by its text."""
+"""Deriving: the same bytes as collecting, here in a plane; and what does not fit is refused by its text."""
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from sim.errors import InputError
 from sim.planar.drive import collect as collect_plane
-from sim.recording.collect import collect
 from sim.recording.derive import can_be_cut, choose_drive, derive
 from sim.recording.format import check_recording
 from sim.settings import DriveSettings, GridSettings, LandmarksSettings, SimSettings
-from tests.helpers.recordings import change, quiet, read_what_must_agree, small_chunks
+from tests.helpers.recordings import change, quiet, read_what_must_agree
 
 FAULTY_CHANGES = {
     **{"ticks_per_rev": 128, "radius_error_left": 0.02, "radius_error_right": -0.01, "track_error": 0.03},
@@ -36,23 +34,8 @@ def plane(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.fixture(scope="module")
-def room(small_settings: SimSettings, tmp_path_factory: pytest.TempPathFactory) -> tuple[SimSettings, Path]:
-    """Settings and recording of a drive in a room, whose chunks are small while these tests run."""
-    settings = change(small_settings, drive={"samples": 90}, grid={"spacing_m": 0.6, "headings": 2})
-    folder = tmp_path_factory.mktemp("room") / "base"
-    collect(settings, 0, folder, quiet, workers=1)
-    return settings, folder
-
-
-@pytest.fixture(autouse=True, scope="module")
-def drawn_here() -> Iterator[None]:
-    with small_chunks():
-        yield
-
-
 def assert_derived_is_as_collected(base: Path, settings: SimSettings, folder: Path) -> None:
-    (collect_plane if settings.world == "landmarks" else collect)(settings, 0, folder / "collected", quiet)
+    collect_plane(settings, 0, folder / "collected", quiet)
     derive(base, settings, 0, folder / "derived")
     assert read_what_must_agree(folder / "derived") == read_what_must_agree(folder / "collected")
     check_recording(folder / "derived")
@@ -62,27 +45,6 @@ def assert_derived_is_as_collected(base: Path, settings: SimSettings, folder: Pa
 def test_derived_is_as_collected_in_the_plane(samples: int, plane: Path, tmp_path: Path):
     assert_derived_is_as_collected(plane, drive(PLANE, samples), tmp_path / "sound")
     assert_derived_is_as_collected(plane, drive(PLANE, samples, **FAULTY_CHANGES), tmp_path / "faulty")
-
-
-@pytest.mark.slow  # quick: test_use
-@pytest.mark.parametrize(("samples", "faults"), [(20, {}), (70, FAULTY_CHANGES)])
-def test_derived_is_as_collected_in_a_room(samples: int, faults: dict, room: tuple[SimSettings, Path], tmp_path: Path):
-    """Of one and of several chunks, cut in the middle of a segment."""
-    assert_derived_is_as_collected(room[1], drive(room[0], samples, **faults), tmp_path)
-
-
-@pytest.mark.slow  # quick: test_use
-@pytest.mark.parametrize("samples", [70, 90])
-def test_faults_of_images_are_derived_as_they_are_collected(samples: int, room, tmp_path: Path):
-    dark = {"exposure": 0.5, "vignetting": 0.3, "read_noise": 0.1, "shot_noise": 0.1, "turn_deg": 8.0}
-    settings, base = change(drive(room[0], samples, **FAULTY_CHANGES), image_faults=dark), room[1]
-    assert_derived_is_as_collected(base, settings, tmp_path)
-    sound, faulty = (read_what_must_agree(folder)["sha256"] for folder in (base, tmp_path / "derived"))
-    assert all(sound[name] != faulty[name] for name in ("observations/fisheye.npy", "test/fisheye.npy"))
-    with pytest.raises(InputError, match="has faults in its images, which cannot be taken away"):
-        derive(tmp_path / "derived", drive(settings, 20, **FAULTY_CHANGES), 0, tmp_path / "again")
-    with pytest.raises(InputError, match="only encoder"):
-        derive(base, change(settings, camera_mount={"roll_deg": 1.0}), 0, tmp_path / "again")
 
 
 def test_what_is_the_same_takes_no_room_and_outlives_the_other(plane: Path, tmp_path: Path):

@@ -111,7 +111,7 @@ def test_renderers_that_never_work_are_given_up(draw, message, small_settings, t
     monkeypatch.setattr(renderers, "SILENCE_FACTOR", 0.0)
     monkeypatch.setattr(renderers, "MAX_DEATHS", 1)
     with pytest.raises(WorkError, match=message):
-        draw_all(draw, small_settings, tmp_path)
+        draw_all(draw, small_settings, tmp_path, 2)
 
 
 @pytest.mark.slow
@@ -122,7 +122,7 @@ def test_one_that_gives_signs_of_life_may_take_as_long_as_it_needs(small_setting
 
 
 def test_patience_grows_with_the_scene():
-    assert Renderers(write_name, 1, 30.0).limit_s() > 10 * Renderers(write_name, 1, 0.1).limit_s()
+    assert Renderers(write_name, 1, 60.0).limit_s() > 10 * Renderers(write_name, 1, 0.1).limit_s()
 
 
 def test_an_error_in_a_worker_keeps_its_kind_and_its_path(small_settings, tmp_path):
@@ -142,7 +142,9 @@ if __name__ == "__main__":
     with Renderers(always_hang, 2, 0.0) as workers:
         for number in range(2):
             workers.give(Part(SMALL_WORLD, np.zeros((1, 9)), Path(str(number))))
-        print(*[worker.process.pid for worker in workers._workers], flush=True)
+        while len(workers._processes) < 2:
+            time.sleep(0.05)
+        print(*[process.pid for process in workers._processes], flush=True)
         time.sleep(60)
 """
 

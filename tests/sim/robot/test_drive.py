@@ -13,13 +13,13 @@ from sim.robot.drive import next_segment as drive_segment
 from sim.robot.headings import STOP_DISTANCE_M, Course, DriveMode, Visits
 from sim.robot.model import BURGER, CONTROL_PERIOD_S, RADIUS_M, TRACK_M, WHEEL_RADIUS_M
 from sim.robot.motion import drive_arc
-from sim.robot.range_finder import ANGLE
+from sim.robot.range_finder import lay_fan
 from sim.robot.world import RoomWorld
 from sim.rooms.spec import empty_room
 from sim.settings import DriveSettings, RoomSettings, SimSettings
 from tests.helpers.small_room import HALF_X, HALF_Y, add_box, drive, furnished, walls
 
-SEED = 5
+SEED, ANGLE = 5, lay_fan(RADIUS_M).angle
 
 
 def make_world(room: mujoco.MjSpec, pose=(0.0, 0.0, 0.0), **drive_settings) -> RoomWorld:

@@ -108,7 +108,7 @@ TRIED_CASES = 3
 def test_what_is_wrong_with_it_is_said_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     for number, (changes, names, message) in enumerate(REFUSED_ROBOTS):
         if number == TRIED_CASES:
-            monkeypatch.setattr("sim.robot.own.list_files", lambda *_: [])
+            monkeypatch.setattr("sim.rooms.mjcf_files.list_files", lambda *_: [])
         with pytest.raises(InputError, match=message) as error:
             describe_own(robot(changed(tmp_path, *changes), **names))
         assert "\n" not in str(error.value) and "robot." in str(error.value)

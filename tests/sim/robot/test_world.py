@@ -9,12 +9,13 @@ from hypothesis import strategies as st
 from sim.errors import WorkError
 from sim.robot.chassis import compile_scene
 from sim.robot.model import RADIUS_M, wheel_speeds
-from sim.robot.range_finder import ANGLE, REACH_M, SIDE_TOLERANCE_M, RangeFinder, clear_length, fan_heights
+from sim.robot.range_finder import REACH_M, SIDE_TOLERANCE_M, RangeFinder, clear_length, fan_heights, lay_fan
 from sim.robot.world import RoomWorld
 from sim.rooms.spec import empty_room
 from sim.settings import RoomSettings, SimSettings
 from tests.helpers.small_room import HALF_X, HALF_Y, add_box, furnished, walls
 
+ANGLE = lay_fan(RADIUS_M).angle
 HOSTILE_MODEL = """
 <mujoco>
   <compiler settotalmass="50" boundmass="3"/>

@@ -26,6 +26,7 @@ from sim.robot_log.log import check_log, robot_file, write_log, write_robot
 from sim.robot_log.mcap_file import Topic, make_pose, read_key, write_mcap
 from sim.robot_log.observe import EPOCH_NS, Trace, make_base_clock
 from sim.settings import DriveSettings, EncoderSettings, ImageFaultSettings, SimSettings
+from tests.helpers.recordings import quiet
 
 SEED, SAMPLES = 3, 16
 IMAGE = "/camera/image_raw/compressed"
@@ -38,10 +39,6 @@ class Message(NamedTuple):
 
 
 Log = dict[str, list[Message]]
-
-
-def quiet(*_: object) -> None:
-    pass
 
 
 def read(path: Path) -> Log:

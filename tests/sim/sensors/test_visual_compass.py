@@ -12,7 +12,7 @@ from sim.robot.world import RoomWorld
 from sim.sensors.camera.faults import develop
 from sim.sensors.camera.fisheye import Fisheye
 from sim.sensors.camera.lens import make_lens
-from sim.sensors.visual_compass import Hypotheses, _correct, disambiguate, find_highest, find_lean, find_turns, follow
+from sim.sensors.visual_compass import Hypotheses, _correct, disambiguate, find_highest, find_lean, find_turns
 from sim.settings import CameraSettings, DeploymentSettings, ImageFaultSettings, RoomKind, RoomSettings, SimSettings
 
 LENS = make_lens(CameraSettings())
@@ -226,18 +226,6 @@ def assert_that_the_lean_is_found_and_undone(seen: dict[str, np.ndarray]) -> Non
     error = np.degrees(wrap(_correct(found, lean)[0][:, 0] - seen["turn"]))
     assert np.sqrt(np.mean(error**2)) < 0.10
     assert np.degrees(np.abs(find_lean(find_turns(seen["a"], seen["in place"], LENS)))).max() < 0.1
-
-
-def test_headings_along_a_segment_add_up() -> None:
-    angle = np.cumsum(np.random.default_rng(0).uniform(-0.3, 0.3, 40)) * SECTOR
-    images = turn(np.repeat(draw_images(1, 6), 40, axis=0), angle)
-    heading, std = follow(images, LENS)
-    assert np.allclose(heading, angle - angle[0], atol=1e-3 * SECTOR)
-    assert std[0] == 0.0
-    assert np.all(np.diff(std) >= 0.0)
-    images[20] = 127.0
-    assert np.isnan(follow(images, LENS)[0]).tolist() == [False] * 20 + [True] * 20
-    assert follow(images[:1], LENS)[0].tolist() == [0.0]
 
 
 SAMPLES = 64

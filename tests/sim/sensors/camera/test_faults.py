@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sim.rng import stream
 from sim.sensors.camera.faults import (
     FAULTS,
     MAST_LIGHT,
@@ -18,7 +19,6 @@ from sim.sensors.camera.faults import (
     hide,
     make_develop,
     smear,
-    spawn_streams,
     vignette,
 )
 from sim.settings import ImageFaultSettings, SimSettings
@@ -68,13 +68,13 @@ def test_each_fault_is_one():
 
 def test_same_seed_same_bytes_however_many_at_a_time_and_other_seed_others():
     images = draw_images(10)
-    whole = develop(images, FAULTY_SETTINGS, spawn_streams(5).noise)
-    piecewise = make_develop(FAULTY_SETTINGS, spawn_streams(5).noise)
+    whole = develop(images, FAULTY_SETTINGS, stream(5, "noise"))
+    piecewise = make_develop(FAULTY_SETTINGS, stream(5, "noise"))
     assert piecewise is not None
     parts = [piecewise(part) for part in np.split(images, [1, 4])]
     np.testing.assert_array_equal(np.concatenate(parts), whole)
-    np.testing.assert_array_equal(develop(images[:4], FAULTY_SETTINGS, spawn_streams(5).noise), whole[:4])
-    others = (spawn_streams(6).noise, spawn_streams(5).test_noise)
+    np.testing.assert_array_equal(develop(images[:4], FAULTY_SETTINGS, stream(5, "noise")), whole[:4])
+    others = (stream(6, "noise"), stream(5, "test"))
     assert all((develop(images, FAULTY_SETTINGS, other) != whole).mean() > 0.1 for other in others)
 
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from sim.recording.chunks import observe
 from sim.robot.world import RoomWorld
-from sim.sensors.camera.raw_image import BRIGHT_LIGHT, FACE_PX, add_glare, compress
+from sim.sensors.camera.faults import BRIGHT_LIGHT, FACE_PX, add_glare, compress
 from sim.settings import SimSettings
 from tests.helpers.recordings import change
 
