@@ -72,7 +72,7 @@ class Scenario(SimSettings):
             observes = METHODS[name].observes if name in METHODS else None
             if observes and observes != self.observation:
                 raise ValueError(f"methods: {name} needs {OBSERVATION_SOURCES[observes]}")
-            if name in METHODS and METHODS[name].reads_turns and not self.drive.turn_images:
+            if name in METHODS and METHODS[name].map == "compass" and not self.drive.turn_images:
                 raise ValueError(f"methods: {name} needs drive.turn_images true")
         if self.observation != "polar_image" and self.learn.network.architecture != "spectral":
             by = "sensor lidar" if self.world == "room" else f"world {self.world}"

@@ -48,11 +48,10 @@ FILES = re.compile(rf"{re.escape(HISTORY)}|{re.escape(CHECKPOINT)}")
 def make_initial_map(
     features: torch.Tensor, segments: Segments, start: Start, seed: int, number: int
 ) -> tuple[torch.Tensor, Segments]:
-    """Positions without a network: by straightness or shortest paths, refined, or from the segments' end points.
+    """Positions (N, 2) [m] without a network: by straightness or shortest paths, refined, or from segments' ends.
 
-    Returns:
-        (N, 2) [m]; NaN where they are unknown, as for what a long recording has beyond the sample that is mapped. And
-        the segments, with distances corrected by the map, unless it is of a sample or of end points.
+    They are NaN where they are unknown, as for what a long recording has beyond the sample that is mapped. Also the
+    segments, with distances corrected by the map, unless it is of a sample or of end points.
     """
     generator = make_generator(seed, "start", number)
     sample, chosen = subsample(segments, len(features))
@@ -87,19 +86,15 @@ def remove_leftovers(folder: Path) -> None:
     (folder / CHECKPOINT).unlink(missing_ok=True)
 
 
-def _folder_of(folder: Path, number: int) -> Path:
-    return folder / f"attempt{number}"
-
-
 def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
     """Train DeepGPS on images and distances alone until a map shows no fold or no restart is left; the best is kept."""
     data, attempts = prepare(recording, settings, seed, folder.parent), []
     for number in range(settings.fold.restarts + 1):
-        attempts.append(train_attempt(data, settings, seed, number, _folder_of(folder, number), progress))
+        attempts.append(train_attempt(data, settings, seed, number, folder / f"attempt{number}", progress))
         if not attempts[-1].score.folded:
             break
     best = min(attempts, key=lambda attempt: attempt.score.worst)
-    write_bytes(folder / HISTORY, (_folder_of(folder, best.number) / HISTORY).read_bytes())
+    write_bytes(folder / HISTORY, (folder / f"attempt{best.number}" / HISTORY).read_bytes())
     training = {
         "steps": settings.train.steps * len(attempts),  # Steps of all attempts
         "train_s": round(sum(attempt.seconds for attempt in attempts), 1),  # Seconds of all attempts

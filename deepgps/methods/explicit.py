@@ -6,7 +6,6 @@ trust-region least-squares solver finds the nearest minimum, so the result depen
 paper, or a map of the landmarks by multidimensional scaling (MDS), which the paper does not try.
 """
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +17,7 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import shortest_path
 
 from deepgps.config.learning import LearnSettings
-from deepgps.data.segments import Segments, read_segments
+from deepgps.data.segments import Segments, read_segments, renumber
 from deepgps.initial_map.distances.isomap import scale_classically
 from deepgps.positioner.positioner import Fitted
 from deepgps.positioner.without_features import LandmarkPositioner, find_seen, trilaterate
@@ -87,10 +86,7 @@ def start_by_mds(distance: np.ndarray, reach_m: float, rng: np.random.Generator)
 
     A path from landmark k via position i to landmark l has the length ``x_ik + x_il``. Of many positions, some are
     nearly on the straight line between both landmarks, so the shortest path is nearly their distance. Landmarks never
-    seen together are joined by paths via other landmarks.
-
-    Raises:
-        InputError: The landmarks are not connected by positions from which several are seen.
+    seen together are joined by paths via other landmarks; InputError if they are not connected by any.
     """
     measured = np.where(find_seen(distance, reach_m), np.asarray(distance, float), np.inf)
     way = np.stack([(measured[:, [k]] + measured).min(axis=0) for k in range(measured.shape[1])])
@@ -103,16 +99,10 @@ def start_by_mds(distance: np.ndarray, reach_m: float, rng: np.random.Generator)
 
 
 def choose_readings(segments: Segments, most: int) -> tuple[Segments, torch.Tensor]:
-    """Thin out the readings of the segments evenly, so that about ``most`` are left.
-
-    Returns:
-        The segments, with observations renumbered from 0, and the original index of each observation (n,) int64.
-    """
+    """Thin out the readings of the segments evenly, so that about ``most`` are left; see ``renumber``."""
     every = max(1, -(-int(segments.count.sum()) // most))
     index, distance = segments.index[:, ::every].contiguous(), segments.distance[:, ::every]
-    fewer = Segments(index, distance, (segments.count - 1) // every + 1, segments.skipped)
-    chosen = index[fewer.valid].unique()
-    return Segments(torch.searchsorted(chosen, index) * fewer.valid, distance, fewer.count, fewer.skipped), chosen
+    return renumber(Segments(index, distance, (segments.count - 1) // every + 1, segments.skipped))
 
 
 def set_up(distance: np.ndarray, reach_m: float, segments: Segments) -> Equations:
@@ -146,7 +136,6 @@ def solve(equations: Equations, first: np.ndarray, evaluations: int) -> Optimize
 def _fit(
     start: Start, recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report
 ) -> Fitted:
-    began = time.perf_counter()
     reach_m = read_reach(recording)
     segments, chosen = choose_readings(read_segments(recording), settings.explicit.readings)
     distance = np.asarray(recording.observation[chosen.numpy()])
@@ -155,7 +144,6 @@ def _fit(
     landmark = solution.x.reshape(-1, 2)[len(distance) :]
     training = {
         "steps": int(solution.nfev),
-        "train_s": round(time.perf_counter() - began, 1),
         "parameters": len(solution.x),
         "residual_rms_m": float(np.sqrt(np.mean(solution.fun**2))),
         "converged": bool(solution.success),
@@ -165,11 +153,7 @@ def _fit(
 
 
 def read_reach(recording: Recording) -> float:
-    """Distance at and beyond which landmarks are not seen [m]; infinite if all are seen.
-
-    Raises:
-        InputError: The recording holds no distances to landmarks.
-    """
+    """Distance from which on landmarks are not seen [m]; infinite if all are. Raises InputError if none is observed."""
     if recording.kind != "vector":
         raise InputError(f"{recording.folder} holds images; explicit positioning needs distances to landmarks")
     reach_m = recording.manifest.settings.get("landmarks", {}).get("reach_m")

@@ -33,8 +33,7 @@ def fit_method(
 ) -> Positioner:
     """Train a method of this name into ``folder``; a finished training is loaded, and an interrupted one continues.
 
-    Raises:
-        InputError: The method cannot learn from these readings or observations.
+    Raises InputError if the method cannot learn from these readings or observations.
     """
     method = METHODS[name]
     fit = resolve_name(method.fit) if isinstance(method.fit, str) else method.fit
@@ -46,11 +45,11 @@ def fit_method(
             fitted = fit(recording, settings, seed, folder, progress)
             if not isinstance(fitted, Fitted):
                 raise WorkError(f"{name_code(fit)} must return deepgps.Fitted, not a {type(fitted).__name__}")
-            positioner, training = fitted
+            positioner, took = fitted.positioner, {"steps": 0, "train_s": round(time.perf_counter() - start, 1)}
             if method.predict is not None and isinstance(positioner, Mapping):
-                parameters = sum(np.asarray(array).size for array in positioner.values())
-                took = {"steps": 0, "train_s": round(time.perf_counter() - start, 1), "parameters": parameters}
-                positioner, training = ArrayPositioner(name, positioner), {**took, **training}
+                took["parameters"] = sum(np.asarray(array).size for array in positioner.values())
+                positioner = ArrayPositioner(name, positioner)
+            training = {**took, **fitted.training}
             if isinstance(positioner, FeaturePositioner) and positioner.appearance is None:
                 positioner = learn_appearance(positioner, training, recording, settings, seed, folder)
             device = describe_device(settings.train.device, settings.train.bfloat16)

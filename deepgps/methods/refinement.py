@@ -36,13 +36,10 @@ def refine_map(
     choose: Callable[[AnyMap], np.ndarray],
     move: Callable[[AnyMap, Factors], AnyMap],
 ) -> AnyMap:
-    """The map with registrations of its images on one another, kept as long as it predicts held-out ones better.
+    """The map ``found`` with registrations of its images on one another, as long as it predicts held-out ones better.
 
-    Args:
-        data: Features, observations and segments.
-        found: The map without them.
-        choose: Its positions that are learned from (N, 2) [m]; all others are NaN.
-        move: The map moved to where these registrations say, too.
+    It is learned from the positions that ``choose`` returns (N, 2) [m]; all others are NaN. ``move`` returns the map
+    moved to where registrations say, too.
     """
     checks, error = None, np.inf
     for number in range(ROUNDS):

@@ -16,7 +16,6 @@ from deepgps.studies.reports.knowing import (
     add_drives,
     find_expected,
     keep_segments,
-    make_drive,
     spoil_drive,
 )
 from deepgps.studies.study import load_study
@@ -39,7 +38,8 @@ def make_row(light: float, *drives: dict) -> Row:
 
 def tell(fault: str, expected: str, accepted: float, named: list[str], **shares: float) -> dict:
     causes = {"named": named, "shares": shares, "refused": shares, "lean_deg": None, "gain": None}
-    return make_drive(fault, expected, accepted, causes, {"large_refused": 0.5} if expected == "furniture" else {})
+    figures = {"large_refused": 0.5} if expected == "furniture" else {}
+    return {"fault": fault, "expected": expected, "accepted": accepted, "causes": causes, "figures": figures}
 
 
 ROWS = [
