@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from sim.errors import DamagedError, InputError
-from sim.files.checksums import damaged, read_arrays, write_arrays
+from sim.files.checksums import read_arrays, write_arrays
 from sim.geometry import wrap
 
 OPTIONAL_ARRAYS = "yaw", "yaw_std", "expected", "novelty", "radius", "radius_95", "accepted", "covariance", "reason"
@@ -113,17 +113,12 @@ def read_all_headings(run: Path, name: str = "error_field.npz") -> dict[str, Err
         data = read_arrays(path)
     except DamagedError as error:
         raise DamagedError(f"{error}; {REPAIR_HINT}") from None
-    missing = {"truth", "heading"} - set(data)
-    if missing:
-        raise damaged(path, f"it has no {' and no '.join(sorted(missing))}")
-    methods = (name for name in data if name not in {"truth", "heading"} and "/" not in name)
-    fields = {
-        name: ErrorField(
-            data["truth"], data["heading"], data[name], *(data.get(f"{part}/{name}") for part in OPTIONAL_ARRAYS)
-        )
-        for name in methods
+    truth, heading = data["truth"], data["heading"]
+    return {
+        name: ErrorField(truth, heading, predicted, *(data.get(f"{part}/{name}") for part in OPTIONAL_ARRAYS))
+        for name, predicted in data.items()
+        if name not in {"truth", "heading"} and "/" not in name
     }
-    return fields
 
 
 def find_worst(field: ErrorField, among: np.ndarray | None = None) -> WorstField:

@@ -135,10 +135,6 @@ def _open_drive(run: Path, drive: Path | None, method: str) -> tuple[Recording, 
 
 def _open_reference(alignment: Alignment, recording: Recording, track: Track) -> Reference:
     truth = open_truth(recording.folder)
-    if len(truth.pose) != len(recording.observation):
-        raise InputError(
-            f"{recording.folder}: it has {len(recording.observation)} observations, but the truth {len(truth.pose)}"
-        )
     pose = np.where((track.observation != NO_IMAGE)[:, None], truth.pose[track.observation], np.nan)
     return Reference(alignment, pose, truth.free_space)
 

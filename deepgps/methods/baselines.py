@@ -58,8 +58,6 @@ COMPONENTS = 128  # Principal components of a scan, as in the paper
 
 def fit_pca_knn(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
     """Store the scans of all positions at random headings; raises InputError if there are none, or all are the same."""
-    if recording.kind != "scan":
-        raise InputError(f"{recording.folder} holds no scans; pca_knn needs world obstacles or sensor lidar")
     index, labels = read_places(recording)
     scans, rng = np.asarray(recording.observation)[index.numpy()], stream(seed, "features")
     count, kept, rays = scans.shape

@@ -72,12 +72,6 @@ class Attempt:
     seconds: float  # Duration of the training
 
 
-def label_attempt(folder: Path, number: int) -> str:
-    """Label of an attempt in progress reports: its method and the number of the restart."""
-    method = folder.parent.name
-    return method if number == 0 else f"{method}, restart {number}"
-
-
 def remove_leftovers(folder: Path) -> None:
     """Remove the files of attempts and the checkpoint from a method's folder; a finished training needs neither."""
     for attempt in folder.glob("attempt*"):
@@ -116,7 +110,8 @@ def train_attempt(
     # 1. The input: segments of known length, and features that change slowly along them (ours).
     segments = data.segments
     # 2. The network from an image to a position (Sec. III), with more outputs where lifting unfolds the map (ours).
-    start, label = choose_start(settings, segments, number), label_attempt(folder, number)
+    start, label = choose_start(settings, segments, number), folder.parent.name
+    label += f", restart {number}" if number else ""
     network = new_network(data, settings, settings.lift.dimensions if start == "lifting" else 2, seed, number)
     # 3. The loss: distances on the map equal those driven (Eq. 2, 3, 5), and segments are straight (ours).
     loss = segment_loss(settings)

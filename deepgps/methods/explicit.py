@@ -8,6 +8,7 @@ paper, or a map of the landmarks by multidimensional scaling (MDS), which the pa
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -63,16 +64,6 @@ class Equations:
 
 Start = Callable[[np.ndarray, float, np.random.Generator], tuple[np.ndarray, np.ndarray]]
 """(distances (n, M) [m], reach [m], random generator) -> initial positions (n, 2) and landmarks (M, 2) [m]."""
-
-
-def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
-    """Solve Eq. 6 from a random start."""
-    return _fit(start_at_random, recording, settings, seed, folder, progress)
-
-
-def fit_from_mds(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
-    """Solve Eq. 6 from a map of the landmarks by MDS."""
-    return _fit(start_by_mds, recording, settings, seed, folder, progress)
 
 
 def start_at_random(distance: np.ndarray, reach_m: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -152,9 +143,11 @@ def _fit(
     return Fitted(LandmarkPositioner(landmark, reach_m), training)
 
 
+fit, fit_from_mds = partial(_fit, start_at_random), partial(_fit, start_by_mds)
+"""Solve Eq. 6 from a random start, and from a map of the landmarks by MDS."""
+
+
 def read_reach(recording: Recording) -> float:
-    """Distance from which on landmarks are not seen [m]; infinite if all are. Raises InputError if none is observed."""
-    if recording.kind != "vector":
-        raise InputError(f"{recording.folder} holds images; explicit positioning needs distances to landmarks")
+    """Distance from which on landmarks are not seen [m]; infinite if all are."""
     reach_m = recording.manifest.settings.get("landmarks", {}).get("reach_m")
     return np.inf if reach_m is None else float(reach_m)

@@ -11,6 +11,7 @@ import numpy as np
 
 from deepgps.config.learning import LearnSettings
 from deepgps.config.methods import METHODS
+from deepgps.config.scenario import OBSERVATION_SOURCES
 from deepgps.data.checks import check_observations, check_recording
 from deepgps.data.segments import fill_stretches
 from deepgps.initial_map.stored_map import read_map
@@ -39,6 +40,8 @@ def fit_method(
     fit = resolve_name(method.fit) if isinstance(method.fit, str) else method.fit
     with use_threads(settings.train.threads):
         if not is_finished(folder):
+            if method.observes not in (None, recording.kind):
+                raise InputError(f"{recording.folder}: {name} needs {OBSERVATION_SOURCES[method.observes]}")
             check_recording(recording)
             check_observations(recording.observation, observation_file(recording.manifest.sensor))
             start = time.perf_counter()

@@ -151,7 +151,7 @@ class Monitor:
         """Name the causes in a drive."""
         upright, change = self._find_lean(drive)
         corrected, images = self.positioner.upright is not None, drive.observation
-        leans = upright is not None and change is not None and change > find_least_lean(upright, images.shape[1])
+        leans = bool(upright and change and change > LEAN_RINGS * upright.lens.half_angle / images.shape[1])
         found = self.register(images, upright if corrected else None)
         signs = self.look(images, find_driven(drive), found)
         if leans and not corrected:  # what it shows is seen once it is upright
@@ -195,11 +195,6 @@ class Monitor:
         """Like ``label``, where a stretch of another room has at least ``window`` images."""
         around = {name: share_around(signs[name]) for name in ("relit", "changed")}
         return label(signs, around, leaning, find_long(~signs["accepted"], window))
-
-
-def find_least_lean(upright: Upright, rings: int) -> float:
-    """The least change of a camera's lean that images with so many rings show for certain [rad]."""
-    return LEAN_RINGS * upright.lens.half_angle / rings
 
 
 def make_monitor(positioner: Positioner, recording: Recording) -> Monitor | None:

@@ -92,7 +92,7 @@ def fit_mixture(places: np.ndarray, segments: Segments, mixture: csr_array) -> n
         trust = MIXTURE_STD_M**-2 * (1.0 + (apart**2).sum(axis=1) / scale**2) ** -2
         weight = np.concatenate([BAR_STDS_M[1] ** -2 * (1.0 + off**2 / scale**2) ** -2, np.repeat(trust, 2)])
         none = np.empty(0, int)
-        slope = vstack([_slope(a, b, bar / length[:, None], none, none, len(place)), off_mixture]).tocsc()
+        slope = csc_array(vstack([_slope(a, b, bar / length[:, None], none, none, len(place)), off_mixture]))
         step = _descend(slope, weight, np.concatenate([off, apart.ravel()]), 1.0)
         place = place + step.clip(-MAX_STEP_M, MAX_STEP_M)
     return np.where(known[:, None], place, np.nan)
@@ -189,8 +189,8 @@ def _descend(slope: csc_array, weight: np.ndarray, residual: np.ndarray, hold: f
 
     A truncated solution is still a descent direction, and the next round continues from there.
     """
-    weighted = slope.multiply(weight[:, None]).tocsc()
-    normal = (slope.T @ weighted + diags_array(np.full(slope.shape[1], hold))).tocsc()
+    weighted, size = slope.multiply(weight[:, None]).tocsc(), np.shape(slope)[1]
+    normal = (slope.T @ weighted + diags_array(np.full(size, hold))).tocsc()
     scale = diags_array(np.reciprocal(normal.diagonal()))
     found, _ = cg(normal, weighted.T @ residual, rtol=SOLVER_TOLERANCE, maxiter=MAX_SOLVER_STEPS, M=scale)
     return -found.reshape(-1, 2)
