@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from sim.errors import DamagedError, InputError
-from sim.files.checksums import read_arrays, write_arrays
+from sim.files.checksums import damaged, read_arrays, write_arrays
 from sim.geometry import wrap
 
 OPTIONAL_ARRAYS = "yaw", "yaw_std", "expected", "novelty", "radius", "radius_95", "accepted", "covariance", "reason"
@@ -113,6 +113,8 @@ def read_all_headings(run: Path, name: str = "error_field.npz") -> dict[str, Err
         data = read_arrays(path)
     except DamagedError as error:
         raise DamagedError(f"{error}; {REPAIR_HINT}") from None
+    if missing := {"truth", "heading"} - set(data):
+        raise damaged(path, f"it has no {' and no '.join(sorted(missing))}")
     truth, heading = data["truth"], data["heading"]
     return {
         name: ErrorField(truth, heading, predicted, *(data.get(f"{part}/{name}") for part in OPTIONAL_ARRAYS))

@@ -42,9 +42,12 @@ def read_metrics(run: Path) -> dict[str, Any]:
     if not path.is_file():
         raise InputError(f"{run} is not a run: it has no metrics.json (deepgps run writes one)")
     try:
-        return read_json(path)
+        metrics = read_json(path)
     except DamagedError as error:
         raise DamagedError(f"{error}; {REPAIR_HINT}") from None
+    if "methods" not in metrics:
+        raise InputError(f"{path} lists no methods: it is not the metrics.json of a run")
+    return metrics
 
 
 def tabulate(metrics: Mapping[str, Any], columns: Sequence[Column] = COLUMNS) -> tuple[Row, list[Row]]:

@@ -189,10 +189,11 @@ def _descend(slope: csc_array, weight: np.ndarray, residual: np.ndarray, hold: f
 
     A truncated solution is still a descent direction, and the next round continues from there.
     """
-    weighted, size = slope.multiply(weight[:, None]).tocsc(), np.shape(slope)[1]
-    normal = (slope.T @ weighted + diags_array(np.full(size, hold))).tocsc()
+    weighted = slope.multiply(weight[:, None]).tocsc()
+    right = weighted.T @ residual
+    normal = (slope.T @ weighted + diags_array(np.full(len(right), hold))).tocsc()
     scale = diags_array(np.reciprocal(normal.diagonal()))
-    found, _ = cg(normal, weighted.T @ residual, rtol=SOLVER_TOLERANCE, maxiter=MAX_SOLVER_STEPS, M=scale)
+    found, _ = cg(normal, right, rtol=SOLVER_TOLERANCE, maxiter=MAX_SOLVER_STEPS, M=scale)
     return -found.reshape(-1, 2)
 
 
