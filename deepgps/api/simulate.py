@@ -9,7 +9,6 @@ from typing import Any
 from deepgps.api.run import Run, load
 from deepgps.config.plugins import load_plugins
 from deepgps.config.scenario import Scenario, load_scenario, override_scenario
-from deepgps.config.spelling import as_key
 from deepgps.run import run
 from deepgps.runs.collect import choose_renderer_for, list_undriven
 from deepgps.runs.run_folder import default_folder, join_methods
@@ -82,7 +81,7 @@ def train(
     defaults = {"methods": list(DEFAULT_METHODS)}
     chosen = {**defaults, **(settings or {}), **_name_methods(methods)}
     scenario = describe_recording(home, chosen)
-    refuse_settings_of_drive(scenario, describe_recording(home, defaults), home, chosen, as_key)
+    refuse_settings_of_drive(scenario, describe_recording(home, defaults), home, chosen, str)
     folder = choose_folder(home, scenario) if out is None else Path(out)
     scenario = scenario if fresh else join_methods(scenario, folder)
     with _prepare([], progress) as report:
