@@ -35,7 +35,7 @@ from deepgps.evaluation.measures import (
 )
 from deepgps.evaluation.segment_errors import describe_drive, judge_encoders
 from deepgps.evaluation.stored_alignment import write_alignment
-from deepgps.learning.trainer import find_device, use_threads
+from deepgps.learning.trainer import find_device
 from deepgps.positioner.pose import Poses, find_poses
 from deepgps.positioner.positioner import CPU, Positioner
 from deepgps.positioner.stored_positioner import load_positioner, read_training
@@ -70,11 +70,6 @@ def evaluate(run: Path, scenario: Scenario, progress: Report = ignore) -> dict[s
 
     Returns the measured part of ``metrics.json``: counts, coverage, trajectory, distances, methods.
     """
-    with use_threads(scenario.learn.train.threads):
-        return _measure(run, scenario, progress)
-
-
-def _measure(run: Path, scenario: Scenario, progress: Report) -> dict[str, Any]:
     recording = open_recording(run / "recording")
     truth = open_truth(run / "recording")
     check_observations(recording.test_observation, name := grid_file(recording.manifest.sensor))

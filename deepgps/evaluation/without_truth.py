@@ -21,7 +21,7 @@ from deepgps.evaluation.deployment import adapt, check_predicted, find_causes, o
 from deepgps.evaluation.error_field import find_rms
 from deepgps.evaluation.measures import expect_new, measure_new
 from deepgps.evaluation.segment_errors import describe_drive
-from deepgps.learning.trainer import find_device, use_threads
+from deepgps.learning.trainer import find_device
 from deepgps.positioner.pose import Poses, find_poses
 from deepgps.positioner.positioner import Positioner
 from deepgps.positioner.stored_positioner import load_positioner, read_training
@@ -45,10 +45,9 @@ def judge(run: Path, scenario: Scenario, progress: Report = ignore) -> dict[str,
     held_out = open_deployment(recording)
     methods = {}
     device = find_device(scenario.learn.train.device)
-    with use_threads(scenario.learn.train.threads):
-        for number, name in enumerate(scenario.methods):
-            progress("evaluate", number, len(scenario.methods))
-            methods[name] = _judge_method(folder_of(run, name), recording, held_out, device)
+    for number, name in enumerate(scenario.methods):
+        progress("evaluate", number, len(scenario.methods))
+        methods[name] = _judge_method(folder_of(run, name), recording, held_out, device)
     progress("evaluate", len(scenario.methods), len(scenario.methods))
     return {
         **describe_drive(recording, methods),

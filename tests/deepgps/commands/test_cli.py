@@ -96,15 +96,6 @@ def test_a_renderer_of_no_kind_is_named(tmp_path):
     assert_one_clear_line(done, 2, "MUJOCO_GL", tmp_path)
 
 
-ABOUT = {"run": "Run a scenario", "collect": "Only drive", "train": "Collect, and train", "evaluate": "Collect, train,"}
-
-
-@pytest.mark.parametrize("command", ABOUT)
-def test_help_says_what_a_command_does(command, tmp_path):
-    for option in ("--help", "--help-all"):
-        assert ABOUT[command] in deepgps_here(command, option, cwd=tmp_path).stdout
-
-
 @pytest.mark.slow
 def test_a_run_leaves_all_that_was_promised(finished_run):
     for name in ("scenario.yaml", "metrics.json", "error_field.npz", "run.rrd", "log.txt", "recording/scene.glb"):

@@ -214,11 +214,6 @@ def test_a_file_that_does_not_exist_and_a_name_that_does_not():
         load_scenario("nowhere", {})
 
 
-def test_an_override_inside_a_plain_value_is_refused():
-    with pytest.raises(InputError, match=r"seed\.x: seed is not a group"):
-        load_scenario("living_room", {"seed": "1", "seed.x": "2"})
-
-
 @pytest.mark.parametrize(
     ("as_group", "dotted"),
     [
@@ -241,6 +236,7 @@ def test_a_group_given_as_a_mapping_sets_what_it_names_and_no_more(as_group, dot
         ({"drive": {"sampels": 50}}, "drive.sampels: there is no such setting, did you mean samples?"),
         ({"seed": {"x": 2}}, "seed {'x': 2}: must be a valid integer"),
         ({"room.seed": {}}, "room.seed {}: must be a valid integer"),
+        ({"seed": "1", "seed.x": "2"}, "seed.x: seed is not a group"),
     ],
 )
 def test_a_wrong_group_given_as_a_mapping_is_named_by_its_setting(overrides, message):
