@@ -1,7 +1,6 @@
 """Registration on a map by compass or by distances alone: no step of training, since what is seen where is enough."""
 
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from deepgps.learning.training_data import TrainingData, prepare
 from deepgps.methods.appearance import learn
 from deepgps.methods.compass import find_mount, keep_chosen, map_by_compass
 from deepgps.methods.deepgps import choose_start, make_initial_map, record_undecided
-from deepgps.methods.refinement import refine_map
+from deepgps.methods.refinement import DistanceMap, refine_map
 from deepgps.positioner.positioner import Fitted, RegistrationPositioner
 from deepgps.terminal.progress import Report
 from sim.errors import InputError
@@ -50,13 +49,6 @@ def fit_distances(recording: Recording, settings: LearnSettings, seed: int, fold
     fitted = finish(data, places, find_headings(recording, places), progress, folder)
     fold = score_folding(places, data.features, data.segments, make_generator(seed, "fold", 0))
     return fitted.note({"fold": fold.record(), "map": record_undecided(undecided)})
-
-
-class DistanceMap(NamedTuple):
-    """Positions (N, 2) [m] and headings (N,) [rad] of observations; NaN: unknown."""
-
-    places: np.ndarray
-    heading: np.ndarray
 
 
 def refine_distances(
