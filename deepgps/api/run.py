@@ -261,7 +261,7 @@ class Run:
 
 
 def load(folder: str | Path, plugins: Sequence[str | Path] = ()) -> Run:
-    """Open a run folder, such as ``runs/tiny/seed0-56989ea5``, with the files of plugins that its methods need."""
+    """Open a run folder, with the files of the plugins that its methods need."""
     load_plugins(plugins)
     return Run(Path(folder), open_run(Path(folder)))
 
