@@ -16,7 +16,6 @@ from tests.helpers.command import MINI, arrays, assert_one_clear_line, deepgps, 
 ONE_LINE_ERRORS = [
     (["run", "living_room", "--room.seed", "1", "2"], "--room.seed takes one value, not 1 2"),
     (["run", "nowhere"], "scenario 'nowhere' does not exist; there are corridor, demo, flat, lab, labyrinth"),
-    (["run", "missing.yaml"], "scenario missing.yaml: no such file"),
     (["run"], "deepgps run needs a scenario first"),
     (["fly"], "command 'fly' does not exist; there are run, collect"),
     (["study"], f"deepgps study needs a study first: {', '.join(names_in(STUDIES))}, or a path"),
@@ -38,20 +37,13 @@ def test_wrong_words_give_one_clear_line(tmp_path):
         assert_one_clear_line(deepgps_here(*words, cwd=tmp_path), 2, message, tmp_path)
 
 
-def test_wrong_files_give_one_clear_line(tmp_path, tmp_path_factory):
-    path = tmp_path_factory.mktemp("wrong") / "mine.yaml"
-    path.write_text("")
-    for command in ("run", "study"):
-        done = deepgps_here(command, str(path), cwd=tmp_path)
-        assert_one_clear_line(done, 2, "mine.yaml is empty; a settings file is a mapping", tmp_path)
-
-
 def test_a_world_without_a_camera_needs_no_renderer(tmp_path):
     words = ("collect", "landmarks", "--landmarks.segments", "4", "--grid.spacing-m", "0.5", "--out", "plane")
     done = deepgps(*words, cwd=tmp_path, MUJOCO_GL="nothing")
     assert done.returncode == 0, done.stderr
     check_recording(tmp_path / "plane" / "recording")
-    assert deepgps("collect", "tiny", "--out", "room", cwd=tmp_path, MUJOCO_GL="nothing").returncode == 2
+    refused = deepgps("collect", "tiny", "--out", "room", cwd=tmp_path, MUJOCO_GL="nothing")
+    assert refused.returncode == 2 and "MUJOCO_GL" in refused.stderr and refused.stderr.count("\n") == 1
 
 
 @pytest.mark.slow
@@ -91,11 +83,6 @@ def test_a_room_that_reaches_out_of_its_folder_is_refused(tmp_path, tmp_path_fac
     assert_one_clear_line(done, 2, "../secret.xml", tmp_path)
 
 
-def test_a_renderer_of_no_kind_is_named(tmp_path):
-    done = deepgps("run", "tiny", cwd=tmp_path, MUJOCO_GL="bogus")
-    assert_one_clear_line(done, 2, "MUJOCO_GL", tmp_path)
-
-
 @pytest.mark.slow
 def test_a_run_leaves_all_that_was_promised(finished_run):
     for name in ("scenario.yaml", "metrics.json", "error_field.npz", "run.rrd", "log.txt", "recording/scene.glb"):
@@ -130,13 +117,6 @@ def test_done_work_is_not_done_again(finished_run):
     assert "DeepGPS" in done.stdout
     changed = [path.name for path, time in before.items() if path.stat().st_mtime_ns != time]
     assert not changed
-
-
-@pytest.mark.slow
-def test_a_folder_of_another_run_is_not_touched(finished_run):
-    done = deepgps_here("run", "mini.yaml", "--seed", "7", "--out", "run", cwd=finished_run.parent)
-    assert done.returncode == 2
-    assert "holds a run of another scenario (a recording, trained" in done.stderr
 
 
 MOMENTS = ("recording.collecting/drive-*.npz", "deepgps/**/checkpoint.pt", "metrics.json")

@@ -5,7 +5,6 @@ import pytest
 
 from deepgps.config.learning import LearnSettings
 from deepgps.config.methods import METHODS
-from deepgps.config.scenario import load_scenario
 from deepgps.methods.fit import fit_method
 from deepgps.positioner.stored_positioner import load_positioner
 from deepgps.terminal.progress import ignore
@@ -15,11 +14,6 @@ from sim.recording.format import open_recording
 EXPLICIT = sorted(name for name, method in METHODS.items() if method.observes == "vector")
 QUICK = ("deepgps", "knn", "registration", "registration_distances", "sfa_linear")
 IMAGES = sorted(name for name, method in METHODS.items() if method.observes in {None, "polar_image"})
-
-
-def test_a_method_that_does_not_exist_is_refused_with_those_that_do():
-    with pytest.raises(InputError, match=r"methods 'posent': must be 'registration', .* or 'pca_knn'"):
-        load_scenario("tiny", {"methods": ["deepgps", "posent"]})
 
 
 @pytest.mark.parametrize(
