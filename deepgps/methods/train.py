@@ -7,16 +7,13 @@ Features that several methods share are computed by the first that needs them, w
 
 import time
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from subprocess import Popen
-from typing import NamedTuple
-
-import numpy as np
 
 from deepgps.config.learning import LearnSettings
 from deepgps.config.methods import METHODS, folder_of
@@ -87,15 +84,6 @@ class Training:
         fit_method(self.method, recording, self.settings, self.seed, self.folder, progress)
 
 
-class Step(NamedTuple):
-    """A child's message: the arguments of a progress callback, with a training's history as arrays."""
-
-    label: str
-    done: int
-    total: int
-    history: Mapping[str, np.ndarray] | None
-
-
 def choose_long(methods: Sequence[str], settings: LearnSettings, images: int) -> list[str]:
     """Those methods that pay to be trained side by side; none on one core, and none on a GPU, which they would share.
 
@@ -136,8 +124,9 @@ def train_side_by_side(trainings: Sequence[Training], most: int, progress: Repor
                     message = pipe.recv()
                 except (EOFError, OSError):
                     raise WorkError(f"training {training.method}: its process ended with {process.wait()}") from None
-                if isinstance(message, Step):
-                    progress(*message[:3], _as_look(message.history))
+                if isinstance(message, tuple):  # what a progress callback takes, with the history as arrays
+                    label, done, total, history = message
+                    progress(label, done, total, None if history is None else lambda found=history: found)
                 elif isinstance(message, BaseException):
                     raise message
                 else:
@@ -171,13 +160,9 @@ def _send_steps(pipe: Connection) -> Report:
         history, now = None, time.monotonic()
         if look is not None and (done == total or now - sent.get(label, -PERIOD_S) >= PERIOD_S):
             history, sent[label] = look(), now
-        pipe.send(Step(label, done, total, history))
+        pipe.send((label, done, total, history))
 
     return report
-
-
-def _as_look(history: Mapping[str, np.ndarray] | None) -> Look | None:
-    return None if history is None else lambda: history
 
 
 def _start(ending: ExitStack) -> tuple[Connection, Popen[bytes]]:
