@@ -5,9 +5,9 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "lines of sim and deepgps": 43_540,
+    "lines of sim and deepgps": 43_165,
     "files of sim and deepgps": 303,
-    "lines of tests": 30_087,
+    "lines of tests": 29_704,
     "Python files directly in deepgps": 2,
     "words of decisions": 6_842,
     "words of all other pages by hand": 21_668,

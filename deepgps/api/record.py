@@ -273,11 +273,7 @@ def _take_truth(
 
 
 def guess_free_space(places: np.ndarray) -> FreeSpace:
-    """The floor within ``FREE_RADIUS_M`` of places (N, 2) [m] where the robot has been, as a map.
-
-    Raises:
-        InputError: The places are too far apart for a map.
-    """
+    """The floor within ``FREE_RADIUS_M`` of places (N, 2) [m] as a map; raises InputError if they are too far apart."""
     low, high = places.min(axis=0) - 2 * FREE_RADIUS_M, places.max(axis=0) + 2 * FREE_RADIUS_M
     width_m, depth_m = high - low
     if width_m * depth_m > MAX_CELLS * CELL_M**2:

@@ -35,15 +35,10 @@ Frame = Literal["world", "map"]
 
 @dataclass(frozen=True)
 class Run:
-    """A run folder: a recording, methods trained on it, and, if the truth is known, their errors.
+    """A run folder: a recording, methods trained on it, and, if the truth is known, their errors."""
 
-    Attributes:
-        folder: The run's folder.
-        scenario: The scenario that was run.
-    """
-
-    folder: Path
-    scenario: Scenario
+    folder: Path  # The run's folder
+    scenario: Scenario  # The scenario that was run
 
     @cached_property
     def recording(self) -> Recording:
@@ -108,9 +103,6 @@ class Run:
 
         Returns:
             Poses of N observations, or of one without the axis N. What a method does not tell is None.
-
-        Raises:
-            InputError: As for ``position``.
         """
         from deepgps.learning.trainer import use_threads
         from deepgps.positioner.pose import find_poses
@@ -132,9 +124,6 @@ class Run:
         Returns:
             Poses of its images in the method's own frame: ``paths["causal"]`` while driving, ``paths["smoothed"]``
             afterwards, and those by single images and by odometry alone.
-
-        Raises:
-            InputError: There is no such method or drive.
         """
         from deepgps.evaluation.track_run import track_run
 
@@ -149,9 +138,6 @@ class Run:
 
         Returns:
             The navigator; its goals are in the method's own frame, and ``floor.places(...)`` are where they may be.
-
-        Raises:
-            InputError: There is no such method, or it gives no yaw.
         """
         from deepgps.learning.trainer import use_threads
         from deepgps.navigation.navigator import Navigator
@@ -173,9 +159,6 @@ class Run:
 
         Returns:
             The cause of each image; None where observations are no images, or the method accepts all.
-
-        Raises:
-            InputError: There is no such method or drive.
         """
         from deepgps.evaluation.deployment import open_deployment
         from deepgps.learning.trainer import use_threads
@@ -278,15 +261,7 @@ class Run:
 
 
 def load(folder: str | Path, plugins: Sequence[str | Path] = ()) -> Run:
-    """Open a run folder.
-
-    Args:
-        folder: The folder, such as ``runs/tiny/seed0-56989ea5``.
-        plugins: Files of plugins to load, which positions by their methods need.
-
-    Raises:
-        InputError: It is no run folder.
-    """
+    """Open a run folder, with the files of the plugins that its methods need."""
     load_plugins(plugins)
     return Run(Path(folder), open_run(Path(folder)))
 

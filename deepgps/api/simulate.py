@@ -9,18 +9,10 @@ from typing import Any
 from deepgps.api.run import Run, load
 from deepgps.config.plugins import load_plugins
 from deepgps.config.scenario import Scenario, load_scenario, override_scenario
-from deepgps.config.spelling import as_key
-from deepgps.evaluation.measure_run import evaluate
-from deepgps.methods.train import train as train_methods
+from deepgps.run import run
 from deepgps.runs.collect import choose_renderer_for, list_undriven
-from deepgps.runs.run_folder import claim, default_folder, join_methods
-from deepgps.runs.source import (
-    DEFAULT_METHODS,
-    choose_folder,
-    describe_recording,
-    link_recording,
-    refuse_settings_of_drive,
-)
+from deepgps.runs.run_folder import default_folder, join_methods
+from deepgps.runs.source import DEFAULT_METHODS, choose_folder, describe_recording, refuse_settings_of_drive
 from deepgps.terminal.progress import Report, ignore, show_progress
 
 
@@ -52,8 +44,6 @@ def simulate(
         InputError: A setting is wrong, or the folder holds another run.
         WorkError: There is no renderer, physics failed, or the disk is full.
     """
-    from deepgps.run import run
-
     load_plugins(plugins)
     chosen = _choose(scenario, {**(settings or {}), **_name_methods(methods)})
     folder = default_folder(chosen) if out is None else Path(out)
@@ -91,13 +81,11 @@ def train(
     defaults = {"methods": list(DEFAULT_METHODS)}
     chosen = {**defaults, **(settings or {}), **_name_methods(methods)}
     scenario = describe_recording(home, chosen)
-    refuse_settings_of_drive(scenario, describe_recording(home, defaults), home, chosen, as_key)
+    refuse_settings_of_drive(scenario, describe_recording(home, defaults), home, chosen, str)
     folder = choose_folder(home, scenario) if out is None else Path(out)
     scenario = scenario if fresh else join_methods(scenario, folder)
-    with _prepare([], progress) as report, claim(scenario, folder, fresh) as place:
-        link_recording(home, place)
-        train_methods(scenario, place, report)
-        evaluate(scenario, place, report)
+    with _prepare([], progress) as report:
+        run(scenario, folder, fresh, report, home, "evaluate")
     return load(folder)
 
 

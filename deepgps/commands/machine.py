@@ -1,13 +1,12 @@
 """The commands about this machine and the rooms that it can draw: doctor, rooms."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, get_args
 
 import tyro
 
-from deepgps.commands.parse import File, parse
+from deepgps.commands.parse import File
 from deepgps.terminal.console import console, errors, say
 from deepgps.terminal.progress import show_progress
 from sim.errors import InputError, WorkError
@@ -20,9 +19,8 @@ class DoctorArguments:
     pass
 
 
-def doctor_command(words: Sequence[str]) -> None:
+def doctor_command(arguments: DoctorArguments) -> None:
     """Check this machine's renderer, packages, processor and device, and say how to fix what is missing."""
-    parse(DoctorArguments, "doctor", words, doctor_command.__doc__)
     from rich.markup import escape
 
     from deepgps.learning.trainer import describe_device
@@ -52,9 +50,8 @@ class RoomsArguments:
     """The picture to write."""
 
 
-def rooms_command(words: Sequence[str]) -> None:
+def rooms_command(arguments: RoomsArguments) -> None:
     """Draw a contact sheet of generated rooms."""
-    arguments = parse(RoomsArguments, "rooms", words, rooms_command.__doc__)
     kinds, seeds = _parse_kinds(arguments.kinds), _parse_seeds(arguments.seeds)
     from deepgps.runs.collect import choose_renderer
 

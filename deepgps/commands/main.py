@@ -29,7 +29,7 @@ if WORKER_PROCESS:
 class Command:
     """A command; its module is imported when it is carried out, so that the help and an error come at once."""
 
-    module: str  # Module of ``deepgps.commands`` with the function ``<name>_command``
+    module: str  # Module of ``deepgps.commands`` with the function ``<name>_command``, which takes the arguments
     arguments: str  # Name of the type of its arguments there
     summary: str  # What the command does, in a few words
 
@@ -90,7 +90,7 @@ def main(words: Sequence[str] | None = None) -> None:
 def _dispatch(words: Sequence[str]) -> None:
     first = words[0] if words else "help"
     if first in COMMANDS:
-        COMMANDS[first].find(f"{first}_command")(words[1:])
+        _carry_out(first, COMMANDS[first], words[1:])
     elif first == "help" and words[1:]:
         _dispatch([*words[1:], "--help"])
     elif first in {"help", "-h", "--help", "--help-all"}:
@@ -103,6 +103,19 @@ def _dispatch(words: Sequence[str]) -> None:
         raise InputError(f"deepgps has no option {shorten(first)}; deepgps --help lists the commands")
     else:
         _refuse_command(first)
+
+
+def _carry_out(name: str, command: Command, words: Sequence[str]) -> None:
+    """Do a command with its words; it parses these itself where they hold a scenario or a study."""
+    do = command.find(f"{name}_command")
+    if command.module in {"run", "study"}:
+        return do(words)
+    from deepgps.commands.parse import parse
+    from deepgps.config.plugins import load_plugins
+
+    arguments = parse(command.find(command.arguments), name, words, do.__doc__)
+    load_plugins(getattr(arguments, "plugin", ()))
+    do(arguments)
 
 
 def _refuse_command(first: str) -> None:

@@ -1,14 +1,12 @@
 """The commands that look at what runs have made: view, track, diagnose, runs."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
-from deepgps.commands.parse import OptionalFile, OptionalFolder, OptionalMethod, Plugins, RunFolder, parse
-from deepgps.config.plugins import load_plugins
+from deepgps.commands.parse import OptionalFile, OptionalFolder, OptionalMethod, Plugins, RunFolder
 from deepgps.terminal.console import console, errors, say
 from deepgps.terminal.progress import show_progress
 from sim.errors import InputError
@@ -31,11 +29,10 @@ class ViewArguments:
     """The tab of which --screenshot writes a picture, by its name; none: the first."""
 
 
-def view_command(words: Sequence[str]) -> None:
+def view_command(arguments: ViewArguments) -> None:
     """Open a run or a study in the Rerun viewer or a browser, or two runs with the difference of their error fields."""
     from deepgps.runs.run_folder import is_study, open_run
 
-    arguments = parse(ViewArguments, "view", words, view_command.__doc__)
     folders = arguments.runs
     if len(folders) not in {1, 2}:
         raise InputError(f"deepgps view takes one folder, or two to compare, not {len(folders)}")
@@ -43,7 +40,6 @@ def view_command(words: Sequence[str]) -> None:
         raise InputError("--tab needs --screenshot")
     if arguments.port is not None and not arguments.web:
         raise InputError("--port needs --web")
-    load_plugins(arguments.plugin)
     if arguments.screenshot is not None and arguments.web:
         raise InputError("--screenshot writes one picture and ends; leave out --web")
     for folder in folders:
@@ -76,10 +72,8 @@ class TrackArguments:
     """Files of plugins, with methods of your own."""
 
 
-def track_command(words: Sequence[str]) -> None:
+def track_command(arguments: TrackArguments) -> None:
     """Track the robot through the deployment drive, or another recording, by single images and odometry together."""
-    arguments = parse(TrackArguments, "track", words, track_command.__doc__)
-    load_plugins(arguments.plugin)
     from deepgps.evaluation.track_run import track_run, write_tums
     from deepgps.reports.track_page import draw_track, print_track
 
@@ -110,12 +104,10 @@ class NavigateArguments:
     """Files of plugins, with methods of your own."""
 
 
-def navigate_command(words: Sequence[str]) -> None:
+def navigate_command(arguments: NavigateArguments) -> None:
     """Drive a simulated robot to goals in the run's own room, by its own tracked positions, and score the drives."""
-    arguments = parse(NavigateArguments, "navigate", words, navigate_command.__doc__)
     if not 1 <= arguments.goals <= 10_000:
         raise InputError(f"--goals {arguments.goals}: must be from 1 to 10,000")
-    load_plugins(arguments.plugin)
     from deepgps.evaluation.navigate_run import Order, navigate_run
     from deepgps.reports.navigate_page import print_drives
     from deepgps.runs.collect import choose_renderer
@@ -138,9 +130,8 @@ class DiagnoseArguments:
     """The file to write; default: diagnosis.json in the run's folder; for a recording of no run, no file."""
 
 
-def diagnose_command(words: Sequence[str]) -> None:
+def diagnose_command(arguments: DiagnoseArguments) -> None:
     """Say what is wrong with the wheels of a recording, how sure that is, and what to set; no ground truth is used."""
-    arguments = parse(DiagnoseArguments, "diagnose", words, diagnose_command.__doc__)
     from deepgps.diagnosis.store import diagnose_folder, is_diagnosis
     from deepgps.reports.wheels_page import print_diagnosis
 
@@ -161,9 +152,8 @@ class RunsArguments:
     """Remove the drives that are kept for later runs to share; the runs that exist keep theirs."""
 
 
-def runs_command(words: Sequence[str]) -> None:
+def runs_command(arguments: RunsArguments) -> None:
     """List runs: what each changes in its scenario, its errors, its age, and the disk that all hold."""
-    arguments = parse(RunsArguments, "runs", words, runs_command.__doc__)
     from deepgps.runs.run_table import measure_disk, tabulate_runs
     from deepgps.runs.shared_drive import STORE, empty_store, measure_store
     from sim.files.atomic import write_size

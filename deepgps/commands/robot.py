@@ -2,14 +2,13 @@
 
 import json
 import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from deepgps.commands.parse import Live, OptionalFile, OptionalFolder, OptionalMethod, Plugins, RunFolder, parse, watch
+from deepgps.commands.parse import Live, OptionalFile, OptionalFolder, OptionalMethod, Plugins, RunFolder, watch
 from deepgps.terminal.console import console, errors, quote_path, say
 from deepgps.terminal.failures import working_in
 from deepgps.terminal.progress import show_progress
@@ -56,9 +55,8 @@ class ImportArguments:
     """Only print what the log holds, and propose a robot.yaml."""
 
 
-def import_command(words: Sequence[str]) -> None:
+def import_command(arguments: ImportArguments) -> None:
     """Make a recording from the log of a robot: ROS 1 bags, ROS 2 db3 or MCAP files, or a folder of plain files."""
-    arguments = parse(ImportArguments, "import", words, import_command.__doc__)
     if arguments.look == (arguments.config is not None or arguments.out is not None):
         raise InputError("deepgps import takes --look, or --config FILE and --out FOLDER")
     from deepgps.robot_io.logs.look import look
@@ -98,9 +96,8 @@ class WheelsArguments:
     """Files whose names begin with the same N characters are left out together; none: each file alone."""
 
 
-def wheels_command(words: Sequence[str]) -> None:
+def wheels_command(arguments: WheelsArguments) -> None:
     """Calibrate a real robot's wheels by runs with true poses, and say which settings of the simulator do the same."""
-    arguments = parse(WheelsArguments, "wheels", words, wheels_command.__doc__)
     from deepgps.evaluation.wheels import measure_wheels, read_run
     from deepgps.reports.wheels_page import print_wheels
 
@@ -141,14 +138,13 @@ class LocateArguments:
     """Files of plugins that define methods of the run."""
 
 
-def locate_command(words: Sequence[str]) -> None:
+def locate_command(arguments: LocateArguments) -> None:
     """Say where images were taken: one line of JSON for each, as they come; exit code 1 if one could not be read."""
-    arguments = parse(LocateArguments, "locate", words, locate_command.__doc__)
     circle = parse_round_image(arguments.centre, arguments.radius_px, arguments.forward_deg)
     from deepgps.api.run import load
     from deepgps.robot_io.locate import describe, locate_source
 
-    run, wrong, total = load(arguments.run, arguments.plugin), 0, 0
+    run, wrong, total = load(arguments.run), 0, 0
     frame = arguments.frame or run.choose_frame(arguments.method)
     room, hide = (run.folder / "recording", frame == "world"), lambda *_: None
     with (
@@ -206,9 +202,8 @@ class ExportArguments:
     """Files of plugins that define methods of the run."""
 
 
-def export_command(words: Sequence[str]) -> None:
+def export_command(arguments: ExportArguments) -> None:
     """Write trajectories for other tools, or a trained method as a folder for a robot."""
-    arguments = parse(ExportArguments, "export", words, export_command.__doc__)
     raw = parse_round_image(arguments.centre, arguments.radius_px, arguments.forward_deg)
     if not (arguments.onnx or arguments.mcap or arguments.tum or arguments.csv):
         raise InputError("deepgps export needs at least one of --tum, --csv, --mcap, --onnx")
@@ -217,7 +212,7 @@ def export_command(words: Sequence[str]) -> None:
     from deepgps.api.run import load
     from deepgps.robot_io.export import export_drives, export_onnx
 
-    run, method, frame = load(arguments.run, arguments.plugin), arguments.method, arguments.frame
+    run, method, frame = load(arguments.run), arguments.method, arguments.frame
     folder, written = arguments.out or Path("export") / arguments.run.resolve().name, []
     with working_in(folder), show_progress(errors) as progress:
         if formats := [name for name in ("tum", "csv", "mcap") if getattr(arguments, name)]:

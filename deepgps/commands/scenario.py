@@ -21,17 +21,16 @@ from deepgps.config.plugins import load_plugins
 from deepgps.config.scenario import Scenario, names_in
 from deepgps.config.spelling import (
     as_option,
-    find_group,
     find_like,
     find_settings_like,
     find_type,
     from_option,
+    list_groups,
     suggest,
 )
 from deepgps.runs.source import Source, find_source
 from sim.errors import InputError, shorten
 from sim.files import SCENARIOS
-from sim.settings import Group
 
 
 @dataclass(frozen=True)
@@ -101,22 +100,11 @@ def _split(words: Sequence[str], own_options: Sequence[str]) -> tuple[list[str],
 def _explain_unknown(name: str, own_options: Sequence[str]) -> str:
     like = [find_like(as_option(name), own_options)] if "." not in name else []
     found = [*like, *map(as_option, find_settings_like(name, Scenario))]
-    group = next((field for key, field in _list_groups() if key == name.rpartition(".")[0]), None)
+    group = dict(list_groups(Scenario)).get(name.rpartition(".")[0])
     if not any(found) and group:
         settings = (as_option(f"{name.rpartition('.')[0]}.{key}") for key in group.model_fields)
         return f"there is no such setting; there are {', '.join(settings)}"
     return f"there is no such setting{suggest(found) or '; deepgps run --help-all lists them'}"
-
-
-def _list_groups() -> list[tuple[str, type[Group]]]:
-    """Groups of a scenario's settings by name, then those inside them."""
-    groups = _list_inner_groups("", Scenario)
-    return [*groups, *(inner for name, group in groups for inner in _list_inner_groups(f"{name}.", group))]
-
-
-def _list_inner_groups(before: str, kind: type[Group]) -> list[tuple[str, type[Group]]]:
-    found = ((before + name, find_group(field.annotation)) for name, field in kind.model_fields.items())
-    return [(name, group) for name, group in found if group]
 
 
 def _help_with_scenario(command: str, words: Sequence[str], about: str | None) -> None:
@@ -127,7 +115,7 @@ def _help_with_scenario(command: str, words: Sequence[str], about: str | None) -
     if not topic or words[asked + 1].startswith("-"):
         print(write_help(command, about))
         raise SystemExit(0)
-    groups = dict(_list_groups())
+    groups = dict(list_groups(Scenario))
     if topic not in groups:
         hint = suggest([find_like(topic, groups)]) or f"; there are {', '.join(groups)}, all"
         raise InputError(f"deepgps {command} --help {shorten(topic)}: there is no such group of settings{hint}")

@@ -1,11 +1,11 @@
 """The short help of the commands that take a scenario, for a first reader; ``--help-all`` shows every setting."""
 
 from textwrap import wrap
-from typing import Any, get_args
+from typing import get_args
 
 from deepgps.config.methods import METHODS
 from deepgps.config.scenario import Scenario, names_in
-from deepgps.config.spelling import as_option, find_group
+from deepgps.config.spelling import as_option, find_group, find_type
 from sim.files import SCENARIOS
 
 OPTIONS = (
@@ -70,11 +70,7 @@ def _name_value(dotted: str) -> str:
     """What to write after a setting: N for a whole number, X for a number, FILE, KIND or METHOD ..."""
     if dotted == "methods":
         return "METHOD ..."
-    kind: Any = Scenario
-    *groups, last = dotted.split(".")
-    for name in groups:
-        kind = find_group(kind.model_fields[name].annotation)
-    annotation = kind.model_fields[last].annotation
-    if annotation in {int, float}:
-        return "N" if annotation is int else "X"
-    return "FILE" if str in get_args(annotation) else last.upper()
+    kind = find_type(dotted, Scenario)
+    if kind in {int, float}:
+        return "N" if kind is int else "X"
+    return "FILE" if str in get_args(kind) else dotted.rpartition(".")[2].upper()

@@ -21,15 +21,13 @@ class Method:
         title: Its name in reports.
         colour: Colour of its lines in figures, "#rrggbb".
         alignment: Transform that evaluation fits: E2 if the method has a mirror ambiguity, else SE2.
-        map: Where the positions come from that it learns: a map by compass, by distances alone, dead reckoning, labels
-            (tags', or the truth), or "own".
+        map: Where the positions come from that it learns: a map by compass, which needs images after turns; by
+            distances alone; wheels; labels (tags', or the truth), which needs no encoders; or "own".
         estimator: How it finds an image's position on the map.
         fit: The function that trains it, or its name "module:function"; it takes a recording, settings, a seed, the
             method's folder and a progress callback, and returns a positioner with a record of its training.
         observes: The only kind of observation it takes; None: any.
         in_steps: Whether it trains step by step and reports its steps.
-        reads_ticks: Whether it learns from the encoders.
-        reads_turns: Whether it needs the images after turns.
         predict: For a plugin's method whose ``fit`` returns arrays by name in place of a positioner: (these arrays,
             observations (B, ...)) -> positions (B, 2) [m].
     """
@@ -42,8 +40,6 @@ class Method:
     estimator: str = "own"
     observes: ObservationKind | None = None
     in_steps: bool = True
-    reads_ticks: bool = True
-    reads_turns: bool = False
     predict: Callable[[Mapping[str, np.ndarray], np.ndarray], np.ndarray] | None = None
 
     @property
@@ -62,7 +58,6 @@ METHODS: dict[str, Method] = {
         "registration",
         observes="polar_image",
         in_steps=False,
-        reads_turns=True,
     ),
     "deepgps_compass": Method(
         "DeepGPS, compass",
@@ -72,7 +67,6 @@ METHODS: dict[str, Method] = {
         "compass",
         "network",
         observes="polar_image",
-        reads_turns=True,
     ),
     "registration_distances": Method(
         "Registration, distances",
@@ -118,19 +112,10 @@ METHODS: dict[str, Method] = {
         "labels",
         "registration",
         in_steps=False,
-        reads_ticks=False,
     ),
-    "posenet": Method(
-        "PoseNet", "#e07b00", "SE2", "deepgps.methods.baselines:fit_posenet", "labels", "network", reads_ticks=False
-    ),
+    "posenet": Method("PoseNet", "#e07b00", "SE2", "deepgps.methods.baselines:fit_posenet", "labels", "network"),
     "posenet_noisy": Method(
-        "PoseNet, noisy labels",
-        "#7a5c00",
-        "SE2",
-        "deepgps.methods.baselines:fit_posenet_noisy",
-        "labels",
-        "network",
-        reads_ticks=False,
+        "PoseNet, noisy labels", "#7a5c00", "SE2", "deepgps.methods.baselines:fit_posenet_noisy", "labels", "network"
     ),
     "knn": Method(
         "Nearest neighbour",
@@ -140,7 +125,6 @@ METHODS: dict[str, Method] = {
         "labels",
         "nearest image",
         in_steps=False,
-        reads_ticks=False,
     ),
     "pca_knn": Method(
         "PCA + nearest neighbour",
@@ -151,7 +135,6 @@ METHODS: dict[str, Method] = {
         "nearest scan",
         observes="scan",
         in_steps=False,
-        reads_ticks=False,
     ),
 }
 """The methods in the order of figures. Scenarios and studies can name every method that is added here.

@@ -8,8 +8,6 @@ import yaml
 from sim.errors import InputError, quote, read_file, shorten
 
 MAX_FILE_BYTES = 200_000  # bytes; a scenario has a few hundred
-VALUE_ERRORS = (ValueError, TypeError, LookupError, AttributeError, ArithmeticError)
-"""Whatever PyYAML raises for a value that does not suit its tag."""
 _TAG = "tag:yaml.org,2002:"
 _PLAIN_TAGS = {_TAG + name for name in ("null", "bool", "int", "float", "str", "seq", "map")}
 
@@ -53,7 +51,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
         raise InputError(f"{what}: {line}{shorten(str(error.problem), 200)}") from None
     except RecursionError:
         raise InputError(f"{what}: its values are nested too deeply") from None
-    except (yaml.YAMLError, *VALUE_ERRORS) as error:
+    except (yaml.YAMLError, ValueError, TypeError, LookupError, AttributeError, ArithmeticError) as error:
         raise InputError(f"{what}: {shorten(str(error).partition(chr(10))[0], 300)}") from None
     if not isinstance(values, dict):
         kind = "is empty" if values is None else f"holds a {type(values).__name__}"

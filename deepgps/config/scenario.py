@@ -14,7 +14,7 @@ from deepgps.config.learning import LearnSettings, check_name
 from deepgps.config.methods import METHODS
 from deepgps.config.plain_yaml import read_yaml
 from deepgps.config.setting_problems import MAX_DEPTH, describe_first, describe_problems
-from deepgps.config.spelling import as_key, find_like, suggest
+from deepgps.config.spelling import find_like, suggest
 from sim.errors import InputError, quote, shorten
 from sim.files import SCENARIOS
 from sim.plugins import ENCODER_FAULTS, LOADING_HINT
@@ -72,7 +72,7 @@ class Scenario(SimSettings):
             observes = METHODS[name].observes if name in METHODS else None
             if observes and observes != self.observation:
                 raise ValueError(f"methods: {name} needs {OBSERVATION_SOURCES[observes]}")
-            if name in METHODS and METHODS[name].reads_turns and not self.drive.turn_images:
+            if name in METHODS and METHODS[name].map == "compass" and not self.drive.turn_images:
                 raise ValueError(f"methods: {name} needs drive.turn_images true")
         if (radius_m := self.drive.until.radius_m) is not None and "registration" not in self.methods:
             raise ValueError(f"drive.until.radius_m {radius_m:g} needs registration in methods")
@@ -112,7 +112,7 @@ class Scenario(SimSettings):
 Spell = Callable[[str], str]  # Writes the dotted name of a setting as the user has written it
 
 
-def load_scenario(source: str, overrides: Mapping[str, Any], spell: Spell = as_key) -> Scenario:
+def load_scenario(source: str, overrides: Mapping[str, Any], spell: Spell = str) -> Scenario:
     """Read a scenario, in assets/scenarios or at a path, and apply overrides by dotted name: ``{"room.seed": "3"}``.
 
     ``spell`` is how messages write their names. Raises InputError, which names the field, the value and what may be.
@@ -122,7 +122,7 @@ def load_scenario(source: str, overrides: Mapping[str, Any], spell: Spell = as_k
 
 
 def override_scenario(
-    values: Mapping[str, Any], path: Path, overrides: Mapping[str, Any], spell: Spell = as_key
+    values: Mapping[str, Any], path: Path, overrides: Mapping[str, Any], spell: Spell = str
 ) -> Scenario:
     """Make a scenario from the plain values of a file, which are not modified, and overrides.
 

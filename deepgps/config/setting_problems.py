@@ -6,7 +6,7 @@ from itertools import zip_longest
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
-from deepgps.config.spelling import find_group, find_like, find_settings_like, find_type, suggest
+from deepgps.config.spelling import find_like, find_settings_like, find_type, list_groups, suggest
 from sim.errors import quote, shorten
 from sim.settings import Group
 
@@ -50,9 +50,7 @@ def _explain_unknown(loc: tuple[int | str, ...], kind: type[Group]) -> str:
 
 
 def _suggest(loc: tuple[int | str, ...], kind: type[Group]) -> str:
-    group: type[Group] | None = kind
-    for part in loc[:-1]:
-        group = find_group(group.model_fields[str(part)].annotation) if group else None
+    group = {"": kind, **dict(list_groups(kind))}.get(".".join(map(str, loc[:-1])))
     if group is None:
         return ""
     names = list(group.model_fields)

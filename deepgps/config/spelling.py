@@ -10,11 +10,6 @@ MIN_SIMILARITY, MIN_SIMILARITY_OF_MANY = 0.65, 0.8  # Of a misspelling: among fe
 MAX_LETTERS = 100  # Letters of a name that are compared
 
 
-def as_key(dotted: str) -> str:
-    """A setting as in YAML: ``encoder.step_noise``."""
-    return dotted
-
-
 def as_option(dotted: str) -> str:
     """A setting as on the command line: ``--encoder.step-noise``."""
     return f"--{dotted.replace('_', '-')}"
@@ -29,6 +24,14 @@ def find_group(annotation: Any) -> type[Group] | None:
     """The group of settings that a field holds, if it does; an optional group is a member of a union."""
     parts = (annotation, *get_args(annotation)) if get_origin(annotation) is not dict else ()
     return next((part for part in parts if isinstance(part, type) and issubclass(part, Group)), None)
+
+
+def list_groups(kind: type[Group], before: str = "") -> Iterator[tuple[str, type[Group]]]:
+    """Dotted names of the groups inside a group of settings, each with its type."""
+    for name, field in kind.model_fields.items():
+        if inner := find_group(field.annotation):
+            yield before + name, inner
+            yield from list_groups(inner, f"{before}{name}.")
 
 
 def list_settings(kind: type[Group], before: str = "") -> Iterator[tuple[str, Any]]:

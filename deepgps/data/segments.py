@@ -138,13 +138,8 @@ def read_segments(recording: Recording) -> Segments:
         distance=torch.from_numpy(distance.astype(np.float32)),
         count=torch.tensor([len(run) for run in kept]),
         skipped=len(runs) - len(kept),
-        held_out=choose_held_out(len(kept)),
+        held_out=spread_evenly(len(kept)) < HELD_OUT_SHARE if len(kept) >= MIN_SEGMENTS else None,
     )
-
-
-def choose_held_out(count: int) -> torch.Tensor | None:
-    """Mask (count,) bool of the segments held out, spread evenly over the drive; None: there are too few."""
-    return spread_evenly(count) < HELD_OUT_SHARE if count >= MIN_SEGMENTS else None
 
 
 def spread_evenly(count: int) -> torch.Tensor:

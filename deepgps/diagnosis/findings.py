@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 from typing import Any
 
@@ -121,11 +122,6 @@ def _reach(estimate: Estimate) -> float:
     return CERTAINTY_HALF_WIDTHS * (estimate.high - estimate.low) / 2.0
 
 
-def _certain(estimate: Estimate, least: float) -> bool:
-    """Whether a strength, which is never negative, is certain and matters."""
-    return estimate.value > max(least, CERTAINTY_HALF_WIDTHS * (estimate.value - estimate.low))
-
-
 def _percent(estimate: Estimate) -> str:
     return f"{100 * estimate.value:.3g} % ({100 * estimate.low:.3g} to {100 * estimate.high:.3g})"
 
@@ -205,29 +201,36 @@ def _find_stuck(diagnosis: Diagnosis, least: dict[str, float], fix: Correction) 
     )
 
 
-def _find_slip(diagnosis: Diagnosis, least: dict[str, float], fix: Correction) -> Finding | None:
-    slip = diagnosis.slip_per_m
-    if not _certain(slip, least["slip"]):
-        return None
-    return Finding(
-        "slip",
-        f"Each wheel slips by {1000 * slip.value:.1f} mm ({1000 * slip.low:.1f} to {1000 * slip.high:.1f}) in a metre, "
-        "at random.",
+STRENGTHS = {
+    "slip": (
+        "slip_per_m",
+        "Each wheel slips by {mm} in a metre, at random.",
         "nothing in the odometry; clean wheels and floor, drive slower, and learn with registration",
-        f"--encoder.slip-per-m {slip.value:.4f}",
-    )
-
-
-def _find_step_noise(diagnosis: Diagnosis, least: dict[str, float], fix: Correction) -> Finding | None:
-    if not _certain(diagnosis.step_noise, least["step_noise"]):
-        return None
-    return Finding(
+        "--encoder.slip-per-m {value:.4f}",
+    ),
+    "step_noise": (
         "step_noise",
-        f"The distance between two readings is wrong by {_percent(diagnosis.step_noise)} of it, at random, for both "
-        "wheels alike.",
+        "The distance between two readings is wrong by {percent} of it, at random, for both wheels alike.",
         "nothing in the odometry; look at the times of readings, and learn with registration",
-        f"--encoder.step-noise {diagnosis.step_noise.value:.3f}",
-    )
+        "--encoder.step-noise {value:.3f}",
+    ),
+    "dropout": (
+        "dropout",
+        "{percent} of the readings never arrived.",
+        "look at cable and bus; the distances between the others are right",
+        "--encoder.dropout {value:.3f}",
+    ),
+}
+"""Faults that have a strength: the quantity that is it, what is wrong, what to set, and the testbed's setting."""
+
+
+def _find_strength(name: str, diagnosis: Diagnosis, least: dict[str, float], fix: Correction) -> Finding | None:
+    quantity, text, cure, setting = STRENGTHS[name]
+    found = diagnosis.quantities[quantity]
+    if found.value <= max(least[name], CERTAINTY_HALF_WIDTHS * (found.value - found.low)):
+        return None
+    mm = f"{1000 * found.value:.1f} mm ({1000 * found.low:.1f} to {1000 * found.high:.1f})"
+    return Finding(name, text.format(mm=mm, percent=_percent(found)), cure, setting.format(value=found.value))
 
 
 def _find_ticks(diagnosis: Diagnosis, least: dict[str, float], fix: Correction) -> Finding | None:
@@ -243,17 +246,6 @@ def _find_ticks(diagnosis: Diagnosis, least: dict[str, float], fix: Correction) 
     )
 
 
-def _find_dropout(diagnosis: Diagnosis, least: dict[str, float], fix: Correction) -> Finding | None:
-    if not _certain(diagnosis.dropout, least["dropout"]):
-        return None
-    return Finding(
-        "dropout",
-        f"{_percent(diagnosis.dropout)} of the readings never arrived.",
-        "look at cable and bus; the distances between the others are right",
-        f"--encoder.dropout {diagnosis.dropout.value:.3f}",
-    )
-
-
 def _say_radii(diagnosis: Diagnosis, fix: Correction) -> str:
     radius_mm = 1000 * diagnosis.odometry["wheel_radius_m"]
     sides = [(name, value) for name, value in (("left", fix.left), ("right", fix.right)) if abs(value - 1.0) > 1e-9]
@@ -262,6 +254,6 @@ def _say_radii(diagnosis: Diagnosis, fix: Correction) -> str:
 
 
 FAULTS: tuple[Callable[[Diagnosis, dict[str, float], Correction], Finding | None], ...] = (
-    *(_find_radius, _find_wheel, _find_track, _find_stuck),
-    *(_find_slip, _find_step_noise, _find_ticks, _find_dropout),
+    *(_find_radius, _find_wheel, _find_track, _find_stuck, partial(_find_strength, "slip")),
+    *(partial(_find_strength, "step_noise"), _find_ticks, partial(_find_strength, "dropout")),
 )

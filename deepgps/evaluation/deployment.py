@@ -13,7 +13,7 @@ from deepgps.positioner.pose import find_poses
 from deepgps.positioner.positioner import FeaturePositioner, Positioner
 from deepgps.tracking.causes import name_causes
 from sim.alignment import Alignment
-from sim.errors import InputError, WorkError
+from sim.errors import WorkError
 from sim.recording.format import DEPLOYMENT_MANIFEST, Recording, open_recording, open_truth
 from sim.recording.manifest import DEPLOYMENT_FOLDER
 
@@ -37,16 +37,13 @@ def adapt(positioner: Positioner, drive: Recording | None) -> tuple[Positioner, 
 
 
 def measure_deployment(positioner: Positioner, alignment: Alignment, drive: Recording, folder: Path) -> ErrorField:
-    """Error field of a method on the images of the deployment drive, each at a place of its own.
+    """Error field of a method, in a folder, on the images of the deployment drive, each at a place of its own.
 
-    Raises InputError if the drive's truth has another number of poses, WorkError if the method predicts no position;
-    the folder is for messages.
+    Raises WorkError if the method predicts no position.
     """
-    pose, found = open_truth(drive.folder).pose, find_poses(positioner, drive.observation)
-    if len(pose) != len(found.position):
-        raise InputError(f"{drive.folder}: it has {len(found.position)} observations, but the truth {len(pose)} poses")
+    found = find_poses(positioner, drive.observation)
     check_predicted(folder, found.position, "observations in deployment")
-    return make_field(found, pose[:, None], alignment)
+    return make_field(found, open_truth(drive.folder).pose[:, None], alignment)
 
 
 def check_predicted(folder: Path, position: np.ndarray, what: str = "observations") -> None:

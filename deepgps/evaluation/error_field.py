@@ -113,17 +113,14 @@ def read_all_headings(run: Path, name: str = "error_field.npz") -> dict[str, Err
         data = read_arrays(path)
     except DamagedError as error:
         raise DamagedError(f"{error}; {REPAIR_HINT}") from None
-    missing = {"truth", "heading"} - set(data)
-    if missing:
+    if missing := {"truth", "heading"} - set(data):
         raise damaged(path, f"it has no {' and no '.join(sorted(missing))}")
-    methods = (name for name in data if name not in {"truth", "heading"} and "/" not in name)
-    fields = {
-        name: ErrorField(
-            data["truth"], data["heading"], data[name], *(data.get(f"{part}/{name}") for part in OPTIONAL_ARRAYS)
-        )
-        for name in methods
+    truth, heading = data["truth"], data["heading"]
+    return {
+        name: ErrorField(truth, heading, predicted, *(data.get(f"{part}/{name}") for part in OPTIONAL_ARRAYS))
+        for name, predicted in data.items()
+        if name not in {"truth", "heading"} and "/" not in name
     }
-    return fields
 
 
 def find_worst(field: ErrorField, among: np.ndarray | None = None) -> WorstField:

@@ -18,7 +18,6 @@ from deepgps.evaluation.deployment import adapt, check_predicted, find_causes, m
 from deepgps.evaluation.error_field import ErrorField, find_rms, write_fields
 from deepgps.evaluation.map_errors import (
     add_expected,
-    describe_parts,
     find_true_camera,
     find_turned_parts,
     is_undecided,
@@ -36,7 +35,7 @@ from deepgps.evaluation.measures import (
 )
 from deepgps.evaluation.segment_errors import describe_drive, judge_encoders
 from deepgps.evaluation.stored_alignment import write_alignment
-from deepgps.learning.trainer import find_device, use_threads
+from deepgps.learning.trainer import find_device
 from deepgps.positioner.pose import Poses, find_poses
 from deepgps.positioner.positioner import CPU, Positioner
 from deepgps.positioner.stored_positioner import load_positioner, read_training
@@ -48,7 +47,6 @@ from sim.recording.format import (
     Recording,
     Truth,
     grid_file,
-    observation_file,
     open_labels,
     open_recording,
     open_truth,
@@ -72,14 +70,11 @@ def evaluate(run: Path, scenario: Scenario, progress: Report = ignore) -> dict[s
 
     Returns the measured part of ``metrics.json``: counts, coverage, trajectory, distances, methods.
     """
-    with use_threads(scenario.learn.train.threads):
-        return _measure(run, scenario, progress)
-
-
-def _measure(run: Path, scenario: Scenario, progress: Report) -> dict[str, Any]:
     recording = open_recording(run / "recording")
     truth = open_truth(run / "recording")
-    _check_tests(recording, truth)
+    check_observations(recording.test_observation, name := grid_file(recording.manifest.sensor))
+    if 0 in recording.test_observation.shape[:2]:
+        raise InputError(f"{recording.folder}: {name} holds no observation, so nothing can be measured")
     labels, side_m = _find_labels(run / "recording"), truth.free_space.shorter_side_m
     deployment = open_deployment(recording)
     fields, use_fields, label_fields, methods = {}, {}, {}, {}
@@ -99,7 +94,7 @@ def _measure(run: Path, scenario: Scenario, progress: Report) -> dict[str, Any]:
             "misplaced": measure_misplaced(alignment.apply(maps.training), truth),
             **measure_grid(fields[method], scenario),
             "alignment": METHODS[method].alignment,  # E2 or SE2
-            **describe_parts(find_turned_parts(maps.training, recording)),
+            **find_turned_parts(maps.training, recording),
             **read_training(folder_of(run, method)),
         }
         if "map" in methods[method]:
@@ -152,18 +147,6 @@ def predict(
     training, poses = positioner.locate_training(recording.observation), find_poses(deployed, images)
     check_predicted(folder, np.concatenate([training, poses.position]))
     return Predictions(training, poses, positioner, deployed, lean)
-
-
-def _check_tests(recording: Recording, truth: Truth) -> None:
-    check_observations(recording.test_observation, grid_file(recording.manifest.sensor))
-    for name, observed, known in (
-        (observation_file(recording.manifest.sensor), recording.observation.shape[:1], truth.pose.shape[:1]),
-        (grid_file(recording.manifest.sensor), recording.test_observation.shape[:2], truth.test_pose.shape[:2]),
-    ):
-        if observed != known:
-            raise InputError(f"{recording.folder}: {name} has {observed} observations, but the truth {known} poses")
-        if 0 in observed:
-            raise InputError(f"{recording.folder}: {name} holds no observation, so nothing can be measured")
 
 
 def _find_labels(folder: Path) -> Labels | None:

@@ -1,7 +1,7 @@
 """Errors of a map by compass before any training, beside those that its covariance expects, and its mirrored parts."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -109,19 +109,10 @@ PART_GAP_M = 0.15  # Segments that come so near to each other on the map belong 
 MIN_SEGMENTS = 3  # Segments that a part has at least
 
 
-@dataclass(frozen=True)
-class TurnedParts:
-    """What the compass says of a map."""
-
-    share: float  # Part of the distance driven that lies in parts that are mirrored or turned
-    parts: list[np.ndarray]  # Observations of each such part, the largest first
-    turns: int  # Number of turns that were compared
-
-
-def find_turned_parts(positions: np.ndarray, recording: Recording) -> TurnedParts | None:
-    """Compare the turns of a map (N, 2) [m], mirrored or not, with those that images show; None without turn images."""
+def find_turned_parts(positions: np.ndarray, recording: Recording) -> dict[str, Any]:
+    """Compare the turns of a map (N, 2) [m], mirrored or not, with those that images show; for ``metrics.json``."""
     if (turns := turns_with_images(recording)) is None:
-        return None
+        return {}
     runs = [run for run in find_runs(recording) if len(run) >= 2]
     index = [recording.reading[run, 1] for run in runs]
     ends = np.array([positions[seen[-1]] - positions[seen[0]] for seen in index])
@@ -140,19 +131,12 @@ def find_turned_parts(positions: np.ndarray, recording: Recording) -> TurnedPart
     parts = [part for part in _group(wrong, index, positions) if len(part) >= MIN_SEGMENTS]
     share = length[np.concatenate([np.empty(0, int), *parts])].sum() / max(length.sum(), 1e-9)
     seen = [np.unique(np.concatenate([index[segment] for segment in part])) for part in parts]
-    return TurnedParts(float(share), sorted(seen, key=len, reverse=True), len(before))
-
-
-def describe_parts(found: TurnedParts | None) -> dict[str, Any]:
-    """What ``metrics.json`` holds of them: the share of the distance, the observations of each part, the turns."""
-    if found is None:
-        return {}
     return {
         "turned": {
             # Share of the distance driven in parts of the map that are mirrored or turned by the compass
-            "share": round(found.share, 4),
-            "parts": [len(part) for part in found.parts],  # Observations of each such part
-            "turns": found.turns,  # Turns that were compared
+            "share": round(float(share), 4),
+            "parts": sorted(map(len, seen), reverse=True),  # Observations of each such part
+            "turns": len(before),  # Turns that were compared
         }
     }
 

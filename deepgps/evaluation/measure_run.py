@@ -27,6 +27,7 @@ def evaluate(scenario: Scenario, folder: Path, progress: Report) -> dict[str, An
     if metrics and set(scenario.methods) <= {name for name in metrics["methods"] if has_alignment(folder / name)}:
         return metrics
     from deepgps.evaluation import evaluate, without_truth
+    from deepgps.learning.trainer import use_threads
 
     if has_truth(folder / "recording"):
         if not open_recording(folder / "recording").test_observation.size:
@@ -37,7 +38,7 @@ def evaluate(scenario: Scenario, folder: Path, progress: Report) -> dict[str, An
         if judged and set(scenario.methods) <= set(judged["methods"]):
             return judged
         path, measure = folder / TRUTHLESS_METRICS, without_truth.judge
-    with timed(folder, "evaluate"):
+    with timed(folder, "evaluate"), use_threads(scenario.learn.train.threads):
         measured = measure(folder, scenario, progress)
     drop_viewed(folder)
     if path.name == METRICS:

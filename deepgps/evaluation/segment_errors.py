@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from deepgps.data.encoder_noise import expect_errors, find_wrong, predict_rms
-from deepgps.data.segments import dead_reckon, find_lasts, find_starts, read_segments, travel
+from deepgps.data.segments import dead_reckon, find_runs, find_starts, read_segments, travel
 from deepgps.evaluation.error_field import find_rms
 from sim.alignment import fit_alignment
 from sim.recording.format import Recording, Truth, measure_driven
@@ -83,9 +83,7 @@ def measure_segments(recording: Recording, pose: np.ndarray) -> tuple[np.ndarray
     Segments with one reading are left out; true poses are of the observations (N, 3).
     """
     encoder, true = measure_distances(recording, pose)
-    start = find_starts(recording.reading[:, 0])
-    last = find_lasts(start)
-    last = last[last > start[last]]
+    last = np.array([run[-1] for run in find_runs(recording) if len(run) > 1], int)
     return true[last], (encoder - true)[last]
 
 

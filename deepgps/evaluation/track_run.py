@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from deepgps.config.methods import folder_of
-from deepgps.config.scenario import Scenario
 from deepgps.data.checks import check_recording, check_view, find_view
 from deepgps.diagnosis.store import digest_files
 from deepgps.evaluation.deployment import adapt, find_causes, open_deployment
@@ -62,27 +61,22 @@ def track_run(run: Path, method: str | None, drive: Path | None, progress: Repor
     """
     scenario = open_run(run)
     with hold(run, RUN, "the run"):
-        return _track_held(run, scenario, method, drive, progress)
-
-
-def _track_held(run: Path, scenario: Scenario, method: str | None, drive: Path | None, progress: Report) -> Tracked:
-    name = _choose(run, scenario.methods, method)
-    recording, path = _open_drive(run, drive, name)
-    # there should be one where the truth of this drive and that of training are known
-    wanted, folder = has_truth(recording.folder) and has_truth(run / "recording"), folder_of(run, name)
-    alignment = read_alignment(folder) if wanted or has_alignment(folder) else None
-    device = find_device(scenario.learn.train.device)
-    with use_threads(scenario.learn.train.threads):
-        trained = load_positioner(folder_of(run, name), device)
-        positioner, _ = adapt(trained, recording)
-        track = track_drive(positioner, recording, progress)
-        causes = find_causes(trained, open_recording(run / "recording"), recording)
-    known = alignment is not None and has_truth(recording.folder)
-    reference = _open_reference(alignment, recording, track) if alignment and known else None
-    figures = {**_describe(name, len(recording.observation), track, reference), **causes}
-    drop_viewed(run)
-    write_track(path.with_suffix(".npz"), track)
-    write_json(path.with_suffix(".json"), figures)
+        name = _choose(run, scenario.methods, method)
+        recording, path = _open_drive(run, drive, name)
+        # there should be one where the truth of this drive and that of training are known
+        wanted, folder = has_truth(recording.folder) and has_truth(run / "recording"), folder_of(run, name)
+        alignment = read_alignment(folder) if wanted or has_alignment(folder) else None
+        with use_threads(scenario.learn.train.threads):
+            trained = load_positioner(folder, find_device(scenario.learn.train.device))
+            positioner, _ = adapt(trained, recording)
+            track = track_drive(positioner, recording, progress)
+            causes = find_causes(trained, open_recording(run / "recording"), recording)
+        known = alignment if has_truth(recording.folder) else None
+        reference = None if known is None else _open_reference(known, recording, track)
+        figures = {**_describe(name, len(recording.observation), track, reference), **causes}
+        drop_viewed(run)
+        write_track(path.with_suffix(".npz"), track)
+        write_json(path.with_suffix(".json"), figures)
     return Tracked(name, path, track, figures, alignment, 1e-9 * recording.manifest.start_ns, reference)
 
 
@@ -135,10 +129,6 @@ def _open_drive(run: Path, drive: Path | None, method: str) -> tuple[Recording, 
 
 def _open_reference(alignment: Alignment, recording: Recording, track: Track) -> Reference:
     truth = open_truth(recording.folder)
-    if len(truth.pose) != len(recording.observation):
-        raise InputError(
-            f"{recording.folder}: it has {len(recording.observation)} observations, but the truth {len(truth.pose)}"
-        )
     pose = np.where((track.observation != NO_IMAGE)[:, None], truth.pose[track.observation], np.nan)
     return Reference(alignment, pose, truth.free_space)
 

@@ -12,7 +12,7 @@ import torch
 
 from deepgps.config.methods import folder_of
 from deepgps.config.scenario import Scenario
-from deepgps.data.segments import find_lasts, find_starts, travel
+from deepgps.data.segments import find_runs, travel
 from deepgps.data.turns import compare_images, find_in_place, take_images, turns_with_images
 from deepgps.diagnosis.diagnosis import diagnose
 from deepgps.diagnosis.findings import find_faults
@@ -21,7 +21,7 @@ from deepgps.evaluation.deployment import adapt, check_predicted, find_causes, o
 from deepgps.evaluation.error_field import find_rms
 from deepgps.evaluation.measures import expect_new, measure_new
 from deepgps.evaluation.segment_errors import describe_drive
-from deepgps.learning.trainer import find_device, use_threads
+from deepgps.learning.trainer import find_device
 from deepgps.positioner.pose import Poses, find_poses
 from deepgps.positioner.positioner import Positioner
 from deepgps.positioner.stored_positioner import load_positioner, read_training
@@ -45,10 +45,9 @@ def judge(run: Path, scenario: Scenario, progress: Report = ignore) -> dict[str,
     held_out = open_deployment(recording)
     methods = {}
     device = find_device(scenario.learn.train.device)
-    with use_threads(scenario.learn.train.threads):
-        for number, name in enumerate(scenario.methods):
-            progress("evaluate", number, len(scenario.methods))
-            methods[name] = _judge_method(folder_of(run, name), recording, held_out, device)
+    for number, name in enumerate(scenario.methods):
+        progress("evaluate", number, len(scenario.methods))
+        methods[name] = _judge_method(folder_of(run, name), recording, held_out, device)
     progress("evaluate", len(scenario.methods), len(scenario.methods))
     return {
         **describe_drive(recording, methods),
@@ -110,19 +109,16 @@ def judge_segments(place: np.ndarray, recording: Recording, accepted: np.ndarray
     """
     reading = recording.reading
     distance = travel(reading[:, 2:], recording.manifest.odometry).mean(axis=1)
-    starts = find_starts(reading[:, 0])
-    first, last = np.unique(starts), find_lasts(starts)
-    some = last > first
-    first, last = first[some], last[some]
-    if not len(first):
+    runs = [run for run in find_runs(recording) if len(run) > 1]
+    if not runs:
         return dict.fromkeys(("length_rms_m", "length_median_m", "scale", "straight_rms_m"))
+    first, last = np.array([[run[0], run[-1]] for run in runs]).T
     wheels = np.abs(distance[last] - distance[first])
     found = np.linalg.norm(place[reading[last, 1]] - place[reading[first, 1]], axis=1)
     both = np.ones(len(last), bool) if accepted is None else accepted[reading[first, 1]] & accepted[reading[last, 1]]
     # The RMS of segments of which both ends are accepted [m]
     kept = {} if accepted is None or not both.any() else {"length_rms_accepted_m": find_rms((found - wheels)[both])}
-    runs = [place[reading[one : other + 1, 1]] for one, other in zip(first, last, strict=True)]
-    off = [_measure_bend(run) for run in runs if len(run) >= MIN_IMAGES]
+    off = [_measure_bend(place[reading[run, 1]]) for run in runs if len(run) >= MIN_IMAGES]
     return {
         # RMS difference of a segment's length by positions from that by the wheels [m]
         "length_rms_m": find_rms(found - wheels),

@@ -3,7 +3,7 @@
 It is no part of what positions an image: it is written before the training and never read by it.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from deepgps.data.segments import Segments
 from deepgps.data.turns import CompassTurns
 from deepgps.initial_map.compass.compass_map import CompassMap
-from sim.files.checksums import damaged, read_arrays, write_arrays
+from sim.files.checksums import read_arrays, write_arrays
 
 FILE = "map.npz"
 
@@ -73,10 +73,4 @@ def write_map(folder: Path, found: CompassMap, segments: Segments, turns: Compas
 def read_map(folder: Path) -> StoredMap | None:
     """Read the map of a method's folder; None: it has none, as other methods. Raises DamagedError if it is damaged."""
     path = folder / FILE
-    if not path.is_file():
-        return None
-    arrays = read_arrays(path)
-    names = [field.name for field in fields(StoredMap)]
-    if missing := [name for name in names if name not in arrays]:
-        raise damaged(path, f"it has no {missing[0]}")
-    return StoredMap(**{name: arrays[name] for name in names})
+    return StoredMap(**read_arrays(path)) if path.is_file() else None

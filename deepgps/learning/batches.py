@@ -21,21 +21,14 @@ class Batch:
 class Inputs:
     """Observations as the network takes them, on one device.
 
-    Features (N, K) stay as they are, or get noise if a generator is given. Of features at several headings (N, H, K),
-    the first heading is taken, or, if a generator is given, a random one, with noise. Polar images (N, rings, sectors,
-    3) uint8 become (N, 3, rings, sectors) float32; if a generator is given, each is shifted in a circle by a random
-    number of sectors (paper section III-B2).
-
-    Args:
-        table: Features or images.
-        noise: Standard deviation of the noise on features, whose own root mean square is 1.
-        shift: Whether images are shifted.
+    Features (N, K), whose root mean square is 1, stay as they are, or get noise of this standard deviation if a
+    generator is given. Of features at several headings (N, H, K), the first heading is taken, or, if a generator is
+    given, a random one, with noise. Polar images (N, rings, sectors, 3) uint8 become (N, 3, rings, sectors) float32; if
+    a generator is given and they are to ``shift``, each by a random number of sectors (paper section III-B2).
     """
 
     def __init__(self, table: torch.Tensor, noise: float = 0.0, shift: bool = True) -> None:
-        self.table = table
-        self.noise = noise
-        self.shift = shift
+        self.table, self.noise, self.shift = table, noise, shift
 
     def take(self, index: torch.Tensor | slice, generator: torch.Generator | None = None) -> torch.Tensor:
         """Network input of observations (B,)."""

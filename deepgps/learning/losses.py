@@ -35,16 +35,10 @@ PAIR_LOSSES = {"absolute": absolute, "normalised": normalised}
 
 
 def dense(positions: torch.Tensor, along: torch.Tensor, valid: torch.Tensor, kind: PairLoss) -> torch.Tensor:
-    """Mean loss over all pairs inside each segment (Eq. 5).
+    """Mean loss of a kind over all pairs inside each segment (Eq. 5); zero if there is no pair.
 
-    Args:
-        positions: Predictions (S, m, D) [m].
-        along: Distance of each sample from its segment's start (S, m) [m].
-        valid: Which samples exist (S, m) bool.
-        kind: Loss of one pair.
-
-    Returns:
-        A scalar; zero if there is no pair.
+    Predictions are (S, m, D) [m], the distances of samples from their segments' starts (S, m) [m]; ``valid`` (S, m)
+    bool says which samples exist.
     """
     i, j = torch.triu_indices(positions.shape[1], positions.shape[1], offset=1, device=positions.device)
     pair = PAIR_LOSSES[kind](distance(positions[:, i], positions[:, j]), (along[:, i] - along[:, j]).abs())
@@ -53,20 +47,12 @@ def dense(positions: torch.Tensor, along: torch.Tensor, valid: torch.Tensor, kin
 
 
 def straight(positions: torch.Tensor, along: torch.Tensor, valid: torch.Tensor) -> torch.Tensor:
-    """Mean distance of predictions from the straight line along which the robot drove; ours, not the paper's.
+    """Mean distance [m] of predictions from the straight line along which the robot drove; ours, not the paper's.
 
     All distances of a segment are right exactly when ``p_i = mean(p) + (c_i - mean(c)) u`` with a unit vector ``u``. A
     bend by a small angle shortens distances only by its square, but moves predictions off this line in proportion to
     the angle, so this loss responds to bends to which |d - c| hardly responds. ``u`` points along
-    ``sum_i (c_i - mean(c)) (p_i - mean(p))``.
-
-    Args:
-        positions: Predictions (S, m, D) [m].
-        along: Distance of each sample from its segment's start (S, m) [m].
-        valid: Which samples exist (S, m) bool.
-
-    Returns:
-        A scalar [m]; zero if there is no sample.
+    ``sum_i (c_i - mean(c)) (p_i - mean(p))``. Arguments as of ``dense``.
     """
     weight = valid.to(positions.dtype)
     share = weight / weight.sum(dim=1, keepdim=True).clamp_min(1.0)

@@ -47,14 +47,8 @@ class ResNet(nn.Module):
     Its strides halve the sectors five times, so even with circular padding a turn by one sector changes its output.
     ``every_turn`` makes the network exactly invariant: each halving is done twice, starting at the first sector and at
     the second. This amounts to the mean over all turns of the image, at a fraction of the cost ("a trous", Holschneider
-    et al. 1990). In training, each image is turned at random instead, which draws one of these turns.
-
-    Args:
-        outputs: Numbers predicted.
-        channels: Channels of the first stage; ResNet-18 has 64.
-        padding: Padding of sectors and rings.
-        every_turn: In evaluation mode, predict the mean over all turns by whole sectors; exact if 32 divides the
-            number of sectors.
+    et al. 1990), and is exact if 32 divides the number of sectors. In training, each image is turned at random instead,
+    which draws one of these turns.
     """
 
     def __init__(self, outputs: int, channels: int, padding: Padding, every_turn: bool) -> None:

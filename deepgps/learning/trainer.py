@@ -125,11 +125,6 @@ class ReplayedStep:
     Its tensors have fixed addresses, so each call copies its arguments there; the learning rate becomes a tensor. The
     step must not read a value back from the GPU, nor depend on a Python value that changes. Arguments of other shapes
     need a new recording.
-
-    Args:
-        step: Called as it is at first, then recorded.
-        optimiser: The optimiser that it steps.
-        device: The GPU of all tensors.
     """
 
     def __init__(self, step: Step, optimiser: torch.optim.Optimizer, device: torch.device) -> None:
@@ -207,26 +202,9 @@ def train(
     """Train ``network`` in place, or continue from the checkpoint in ``folder``.
 
     Writes ``folder/history.npz``: ``step`` and ``loss`` (means between two points), ``snapshot_step`` (K,), and
-    ``snapshot`` (K, n, 2) predictions of the observations ``snapshot_index`` (n,) [m].
-
-    Args:
-        network: The network, trained from its present weights.
-        inputs: Training observations.
-        draw: (generator, fraction of the steps done) -> batch of one step.
-        loss: See ``Loss``.
-        settings: Steps, rate, device.
-        seed: Seed of the random draws.
-        folder: Where the checkpoint and the history are written.
-        progress: Called with the steps done and their number.
-        label: The label for ``progress``.
-        replay: Whether a GPU may record a step and replay it: the loss never waits for a value from the GPU, and
-            depends on no Python value that changes.
-
-    Returns:
-        Seconds of training, including earlier parts of an interrupted training.
-
-    Raises:
-        WorkError: The training diverged.
+    ``snapshot`` (K, n, 2) predictions of the observations ``snapshot_index`` (n,) [m]. A GPU may ``replay`` a step if
+    the loss never waits for a value from it, and depends on no Python value that changes. Returns seconds of training,
+    those of an interrupted one included; raises WorkError if it diverged.
     """
     with use_threads(settings.threads):
         device = choose_device(settings.device)

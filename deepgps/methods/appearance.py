@@ -43,19 +43,11 @@ UNCALIBRATED = Calibration(1.0, 1.0, 1.0, np.inf, np.inf, 1.0, (1.0, 1.0), 1.0, 
 def learn(
     data: TrainingData, places: np.ndarray, heading: np.ndarray, std: np.ndarray | None = None
 ) -> tuple[AppearanceMap, np.ndarray]:
-    """Learn what is seen where.
+    """Learn what is seen where; return the map, and the numbers (n,) of the observations on it.
 
-    Args:
-        data: Features, observations and segments.
-        places: Positions of the N observations on the map (N, 2) [m]; NaN: unknown.
-        heading: Their headings (N,) [rad]; NaN: unknown.
-        std: Standard deviation of each position along one axis (N,) [m]; None: unknown.
-
-    Returns:
-        The map, and the numbers (n,) of the observations on it.
-
-    Raises:
-        InputError: No observation has a position, or none has others around it that are on other segments.
+    Positions of all on the map are (N, 2) [m], with standard deviations along one axis (N,) [m] if they are known,
+    and headings (N,) [rad]; NaN: unknown. Raises InputError if none has a position and others, of other segments,
+    around it.
     """
     placed, directed = np.isfinite(places[:, 0]), np.isfinite(heading)
     has_pixels = data.observation.ndim == 4 and bool((placed & directed).any())

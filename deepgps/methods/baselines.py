@@ -7,7 +7,6 @@ circle, so the many headings need not be observed. They are stored all the same,
 is what the method's memory holds.
 """
 
-import time
 from pathlib import Path
 
 import numpy as np
@@ -44,15 +43,12 @@ NEIGHBOURS = 4  # Number of stored positions that are averaged
 
 def fit_knn(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
     """Store features and positions of the labelled observations, without those on segments held out."""
-    start = time.perf_counter()
     data = prepare(recording, settings, seed, folder.parent)
     index, places = leave_held_out(*read_places(recording), data.segments, len(data.features))
     features = data.features[index]
-    positioner = NeighbourPositioner(data.projection, features, places, NEIGHBOURS)
-    stored = features.numel() + places.numel()
-    training = {"steps": 0, "train_s": round(time.perf_counter() - start, 1), "parameters": stored}
     progress(folder.name, 1, 1)
-    return Fitted(positioner, training)
+    positioner = NeighbourPositioner(data.projection, features, places, NEIGHBOURS)
+    return Fitted(positioner, {"parameters": features.numel() + places.numel()})
 
 
 FITTED_SCANS = 50_000  # Approximate maximum number of scans from which the principal components are computed
@@ -61,14 +57,7 @@ COMPONENTS = 128  # Principal components of a scan, as in the paper
 
 
 def fit_pca_knn(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
-    """Store the scans of all positions at random headings.
-
-    Raises:
-        InputError: The recording holds no scans, or all of them are the same.
-    """
-    if recording.kind != "scan":
-        raise InputError(f"{recording.folder} holds no scans; pca_knn needs world obstacles or sensor lidar")
-    start = time.perf_counter()
+    """Store the scans of all positions at random headings; raises InputError if there are none, or all are the same."""
     index, labels = read_places(recording)
     scans, rng = np.asarray(recording.observation)[index.numpy()], stream(seed, "features")
     count, kept, rays = scans.shape
@@ -84,9 +73,7 @@ def fit_pca_knn(recording: Recording, settings: LearnSettings, seed: int, folder
         turned = turn_scans(scans[first : first + CHUNK], turns[first : first + CHUNK])
         known[first * headings : first * headings + len(turned)] = positioner.project(turned)
         progress(folder.name, min(first + CHUNK, count), count)
-    stored = sum(tensor.numel() for tensor in positioner.pack().tensors.values())
-    training = {"steps": 0, "train_s": round(time.perf_counter() - start, 1), "parameters": stored}
-    return Fitted(positioner, training)
+    return Fitted(positioner, {"parameters": sum(tensor.numel() for tensor in positioner.pack().tensors.values())})
 
 
 def draw_turns(count: int, possible: int, wanted: int, rng: np.random.Generator) -> np.ndarray:
@@ -141,8 +128,8 @@ def fit_registration(
     recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report
 ) -> Fitted:
     """Registration on labels, or on true positions if the recording has no labels."""
-    data, start = prepare(recording, settings, seed, folder.parent), time.perf_counter()
+    data = prepare(recording, settings, seed, folder.parent)
     index, label = read_places(recording)
     places = np.full((len(recording.observation), 2), np.nan)
     places[index.numpy()] = label.numpy()
-    return finish(data, places, find_headings(recording, places), start, progress, folder)
+    return finish(data, places, find_headings(recording, places), progress, folder)

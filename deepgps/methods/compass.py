@@ -102,16 +102,16 @@ def find_mount(found: CompassMap) -> tuple[float, float]:
 
 def describe_map(found: CompassMap) -> dict[str, Any]:
     """What ``training.json`` holds of a map: how well it is known, what is undecided, and what all segments share."""
-    known = found.std[np.isfinite(found.std)]
+    known, inliers, repeats_m = found.std[np.isfinite(found.std)], found.stages[-1].inliers, found.fit.inliers.repeats_m
     curvature, ahead, left = zip(found.shared.round(5).tolist(), found.shared_std.round(5).tolist(), strict=True)
     return {
         # RMS error that turns, encoders and loop closures allow, after alignment [m]
         "expected_rms_m": round(float(np.sqrt(2.0 * (known**2).mean())), 5),
         **record_undecided(found.undecided),
         # Distance after which the world repeats [m]; None: it does not; 0: unknown
-        "repeats_m": round(found.repeats_m, 2) if np.isfinite(found.repeats_m) else None,
+        "repeats_m": round(repeats_m, 2) if np.isfinite(repeats_m) else None,
         # Share of the loop closures that are inliers
-        "believed": round(float(found.inliers.mean()), 4) if len(found.inliers) else None,
+        "believed": round(float(inliers.mean()), 4) if len(inliers) else None,
         # Curvature of what the robot drives for straight, and its standard deviation [1/m]
         "curvature_per_m": curvature,
         "camera_ahead_m": ahead,  # The camera's place ahead of the axle, and its standard deviation [m]

@@ -48,11 +48,10 @@ FILES = re.compile(rf"{re.escape(HISTORY)}|{re.escape(CHECKPOINT)}")
 def make_initial_map(
     features: torch.Tensor, segments: Segments, start: Start, seed: int, number: int
 ) -> tuple[torch.Tensor, Segments]:
-    """Positions without a network: by straightness or shortest paths, refined, or from the segments' end points.
+    """Positions (N, 2) [m] without a network: by straightness or shortest paths, refined, or from segments' ends.
 
-    Returns:
-        (N, 2) [m]; NaN where they are unknown, as for what a long recording has beyond the sample that is mapped. And
-        the segments, with distances corrected by the map, unless it is of a sample or of end points.
+    They are NaN where they are unknown, as for what a long recording has beyond the sample that is mapped. Also the
+    segments, with distances corrected by the map, unless it is of a sample or of end points.
     """
     generator = make_generator(seed, "start", number)
     sample, chosen = subsample(segments, len(features))
@@ -73,12 +72,6 @@ class Attempt:
     seconds: float  # Duration of the training
 
 
-def label_attempt(folder: Path, number: int) -> str:
-    """Label of an attempt in progress reports: its method and the number of the restart."""
-    method = folder.parent.name
-    return method if number == 0 else f"{method}, restart {number}"
-
-
 def remove_leftovers(folder: Path) -> None:
     """Remove the files of attempts and the checkpoint from a method's folder; a finished training needs neither."""
     for attempt in folder.glob("attempt*"):
@@ -87,19 +80,15 @@ def remove_leftovers(folder: Path) -> None:
     (folder / CHECKPOINT).unlink(missing_ok=True)
 
 
-def _folder_of(folder: Path, number: int) -> Path:
-    return folder / f"attempt{number}"
-
-
 def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
     """Train DeepGPS on images and distances alone until a map shows no fold or no restart is left; the best is kept."""
     data, attempts = prepare(recording, settings, seed, folder.parent), []
     for number in range(settings.fold.restarts + 1):
-        attempts.append(train_attempt(data, settings, seed, number, _folder_of(folder, number), progress))
+        attempts.append(train_attempt(data, settings, seed, number, folder / f"attempt{number}", progress))
         if not attempts[-1].score.folded:
             break
     best = min(attempts, key=lambda attempt: attempt.score.worst)
-    write_bytes(folder / HISTORY, (_folder_of(folder, best.number) / HISTORY).read_bytes())
+    write_bytes(folder / HISTORY, (folder / f"attempt{best.number}" / HISTORY).read_bytes())
     training = {
         "steps": settings.train.steps * len(attempts),  # Steps of all attempts
         "train_s": round(sum(attempt.seconds for attempt in attempts), 1),  # Seconds of all attempts
@@ -121,7 +110,8 @@ def train_attempt(
     # 1. The input: segments of known length, and features that change slowly along them (ours).
     segments = data.segments
     # 2. The network from an image to a position (Sec. III), with more outputs where lifting unfolds the map (ours).
-    start, label = choose_start(settings, segments, number), label_attempt(folder, number)
+    start, label = choose_start(settings, segments, number), folder.parent.name
+    label += f", restart {number}" if number else ""
     network = new_network(data, settings, settings.lift.dimensions if start == "lifting" else 2, seed, number)
     # 3. The loss: distances on the map equal those driven (Eq. 2, 3, 5), and segments are straight (ours).
     loss = segment_loss(settings)

@@ -6,9 +6,9 @@ trust-region least-squares solver finds the nearest minimum, so the result depen
 paper, or a map of the landmarks by multidimensional scaling (MDS), which the paper does not try.
 """
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,7 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import shortest_path
 
 from deepgps.config.learning import LearnSettings
-from deepgps.data.segments import Segments, read_segments
+from deepgps.data.segments import Segments, read_segments, renumber
 from deepgps.initial_map.distances.isomap import scale_classically
 from deepgps.positioner.positioner import Fitted
 from deepgps.positioner.without_features import LandmarkPositioner, find_seen, trilaterate
@@ -66,16 +66,6 @@ Start = Callable[[np.ndarray, float, np.random.Generator], tuple[np.ndarray, np.
 """(distances (n, M) [m], reach [m], random generator) -> initial positions (n, 2) and landmarks (M, 2) [m]."""
 
 
-def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
-    """Solve Eq. 6 from a random start."""
-    return _fit(start_at_random, recording, settings, seed, folder, progress)
-
-
-def fit_from_mds(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
-    """Solve Eq. 6 from a map of the landmarks by MDS."""
-    return _fit(start_by_mds, recording, settings, seed, folder, progress)
-
-
 def start_at_random(distance: np.ndarray, reach_m: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Draw positions and landmarks uniformly in a square whose side is the longest distance."""
     half = float(distance.max()) / 2.0
@@ -87,10 +77,7 @@ def start_by_mds(distance: np.ndarray, reach_m: float, rng: np.random.Generator)
 
     A path from landmark k via position i to landmark l has the length ``x_ik + x_il``. Of many positions, some are
     nearly on the straight line between both landmarks, so the shortest path is nearly their distance. Landmarks never
-    seen together are joined by paths via other landmarks.
-
-    Raises:
-        InputError: The landmarks are not connected by positions from which several are seen.
+    seen together are joined by paths via other landmarks; InputError if they are not connected by any.
     """
     measured = np.where(find_seen(distance, reach_m), np.asarray(distance, float), np.inf)
     way = np.stack([(measured[:, [k]] + measured).min(axis=0) for k in range(measured.shape[1])])
@@ -103,16 +90,10 @@ def start_by_mds(distance: np.ndarray, reach_m: float, rng: np.random.Generator)
 
 
 def choose_readings(segments: Segments, most: int) -> tuple[Segments, torch.Tensor]:
-    """Thin out the readings of the segments evenly, so that about ``most`` are left.
-
-    Returns:
-        The segments, with observations renumbered from 0, and the original index of each observation (n,) int64.
-    """
+    """Thin out the readings of the segments evenly, so that about ``most`` are left; see ``renumber``."""
     every = max(1, -(-int(segments.count.sum()) // most))
     index, distance = segments.index[:, ::every].contiguous(), segments.distance[:, ::every]
-    fewer = Segments(index, distance, (segments.count - 1) // every + 1, segments.skipped)
-    chosen = index[fewer.valid].unique()
-    return Segments(torch.searchsorted(chosen, index) * fewer.valid, distance, fewer.count, fewer.skipped), chosen
+    return renumber(Segments(index, distance, (segments.count - 1) // every + 1, segments.skipped))
 
 
 def set_up(distance: np.ndarray, reach_m: float, segments: Segments) -> Equations:
@@ -146,7 +127,6 @@ def solve(equations: Equations, first: np.ndarray, evaluations: int) -> Optimize
 def _fit(
     start: Start, recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report
 ) -> Fitted:
-    began = time.perf_counter()
     reach_m = read_reach(recording)
     segments, chosen = choose_readings(read_segments(recording), settings.explicit.readings)
     distance = np.asarray(recording.observation[chosen.numpy()])
@@ -155,7 +135,6 @@ def _fit(
     landmark = solution.x.reshape(-1, 2)[len(distance) :]
     training = {
         "steps": int(solution.nfev),
-        "train_s": round(time.perf_counter() - began, 1),
         "parameters": len(solution.x),
         "residual_rms_m": float(np.sqrt(np.mean(solution.fun**2))),
         "converged": bool(solution.success),
@@ -164,13 +143,11 @@ def _fit(
     return Fitted(LandmarkPositioner(landmark, reach_m), training)
 
 
-def read_reach(recording: Recording) -> float:
-    """Distance at and beyond which landmarks are not seen [m]; infinite if all are seen.
+fit, fit_from_mds = partial(_fit, start_at_random), partial(_fit, start_by_mds)
+"""Solve Eq. 6 from a random start, and from a map of the landmarks by MDS."""
 
-    Raises:
-        InputError: The recording holds no distances to landmarks.
-    """
-    if recording.kind != "vector":
-        raise InputError(f"{recording.folder} holds images; explicit positioning needs distances to landmarks")
+
+def read_reach(recording: Recording) -> float:
+    """Distance from which on landmarks are not seen [m]; infinite if all are."""
     reach_m = recording.manifest.settings.get("landmarks", {}).get("reach_m")
     return np.inf if reach_m is None else float(reach_m)

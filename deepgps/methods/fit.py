@@ -11,6 +11,7 @@ import numpy as np
 
 from deepgps.config.learning import LearnSettings
 from deepgps.config.methods import METHODS
+from deepgps.config.scenario import OBSERVATION_SOURCES
 from deepgps.data.checks import check_observations, check_recording
 from deepgps.data.segments import fill_stretches
 from deepgps.initial_map.stored_map import read_map
@@ -33,24 +34,25 @@ def fit_method(
 ) -> Positioner:
     """Train a method of this name into ``folder``; a finished training is loaded, and an interrupted one continues.
 
-    Raises:
-        InputError: The method cannot learn from these readings or observations.
+    Raises InputError if the method cannot learn from these readings or observations.
     """
     method = METHODS[name]
     fit = resolve_name(method.fit) if isinstance(method.fit, str) else method.fit
     with use_threads(settings.train.threads):
         if not is_finished(folder):
+            if method.observes not in (None, recording.kind):
+                raise InputError(f"{recording.folder}: {name} needs {OBSERVATION_SOURCES[method.observes]}")
             check_recording(recording)
             check_observations(recording.observation, observation_file(recording.manifest.sensor))
             start = time.perf_counter()
             fitted = fit(recording, settings, seed, folder, progress)
             if not isinstance(fitted, Fitted):
                 raise WorkError(f"{name_code(fit)} must return deepgps.Fitted, not a {type(fitted).__name__}")
-            positioner, training = fitted
+            positioner, took = fitted.positioner, {"steps": 0, "train_s": round(time.perf_counter() - start, 1)}
             if method.predict is not None and isinstance(positioner, Mapping):
-                parameters = sum(np.asarray(array).size for array in positioner.values())
-                took = {"steps": 0, "train_s": round(time.perf_counter() - start, 1), "parameters": parameters}
-                positioner, training = ArrayPositioner(name, positioner), {**took, **training}
+                took["parameters"] = sum(np.asarray(array).size for array in positioner.values())
+                positioner = ArrayPositioner(name, positioner)
+            training = {**took, **fitted.training}
             if isinstance(positioner, FeaturePositioner) and positioner.appearance is None:
                 positioner = learn_appearance(positioner, training, recording, settings, seed, folder)
             device = describe_device(settings.train.device, settings.train.bfloat16)

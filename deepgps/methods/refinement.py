@@ -1,11 +1,12 @@
 """Better maps: images registered on those of other segments tell where they lie relative to these."""
 
 from collections.abc import Callable
-from typing import Protocol, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from deepgps.data.segments import find_owners
+from deepgps.initial_map.compass.compass_map import CompassMap
 from deepgps.initial_map.compass.factors import Factors
 from deepgps.learning.training_data import TrainingData
 from deepgps.methods.appearance import CHUNK, find_trace, learn, leave_out
@@ -18,16 +19,14 @@ ROUNDS, FACTORS, HELD_OUT_FACTORS = 2, 4000, 8
 """Times that a map is refined, images that are registered, at most, and of how many one checks the map."""
 
 
-class Map(Protocol):
+class DistanceMap(NamedTuple):
     """Positions (N, 2) [m] and headings (N,) [rad] of observations; NaN: unknown."""
 
-    @property
-    def places(self) -> np.ndarray: ...
-    @property
-    def heading(self) -> np.ndarray: ...
+    places: np.ndarray
+    heading: np.ndarray
 
 
-AnyMap = TypeVar("AnyMap", bound=Map)
+AnyMap = TypeVar("AnyMap", CompassMap, DistanceMap)
 
 
 def refine_map(
@@ -36,13 +35,10 @@ def refine_map(
     choose: Callable[[AnyMap], np.ndarray],
     move: Callable[[AnyMap, Factors], AnyMap],
 ) -> AnyMap:
-    """The map with registrations of its images on one another, kept as long as it predicts held-out ones better.
+    """The map ``found`` with registrations of its images on one another, as long as it predicts held-out ones better.
 
-    Args:
-        data: Features, observations and segments.
-        found: The map without them.
-        choose: Its positions that are learned from (N, 2) [m]; all others are NaN.
-        move: The map moved to where these registrations say, too.
+    It is learned from the positions that ``choose`` returns (N, 2) [m]; all others are NaN. ``move`` returns the map
+    moved to where registrations say, too.
     """
     checks, error = None, np.inf
     for number in range(ROUNDS):
@@ -61,7 +57,7 @@ def refine_map(
     return found
 
 
-def measure_error(factors: Factors, found: Map) -> float:
+def measure_error(factors: Factors, found: CompassMap | DistanceMap) -> float:
     """Median distance of observations from where the factors predict them on a map [m]; NaN where there are none."""
     return float(np.nanmedian(np.linalg.norm(factors.compare(found.places), axis=1)))
 

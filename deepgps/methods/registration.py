@@ -1,8 +1,6 @@
 """Registration on a map by compass or by distances alone: no step of training, since what is seen where is enough."""
 
-import time
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -16,7 +14,7 @@ from deepgps.learning.training_data import TrainingData, prepare
 from deepgps.methods.appearance import learn
 from deepgps.methods.compass import find_mount, keep_chosen, map_by_compass
 from deepgps.methods.deepgps import choose_start, make_initial_map, record_undecided
-from deepgps.methods.refinement import refine_map
+from deepgps.methods.refinement import DistanceMap, refine_map
 from deepgps.positioner.positioner import Fitted, RegistrationPositioner
 from deepgps.terminal.progress import Report
 from sim.errors import InputError
@@ -29,15 +27,14 @@ MIN_LEFT_OUT_SHARE, MAX_LEFT_OUT_SHARE = 0.001, 0.5
 
 def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
     """Learn on the map by compass."""
-    start = time.perf_counter()
     data, found, record = map_by_compass(recording, settings, seed, folder, progress)
     places, mount = keep_chosen(found), find_mount(found)
-    return finish(data, places, found.heading, start, progress, folder, found.std, mount).note(record)
+    return finish(data, places, found.heading, progress, folder, found.std, mount).note(record)
 
 
 def fit_distances(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
     """Learn on the map from distances along segments alone; headings are the segments' directions on it."""
-    data, start = prepare(recording, settings, seed, folder.parent), time.perf_counter()
+    data = prepare(recording, settings, seed, folder.parent)
     if (kind := choose_start(settings, data.segments)) == "lifting":
         raise InputError("registration_distances: a map needs segments with more than two readings each")
     progress(f"{folder.name}: initial map", 0, 1)
@@ -49,16 +46,9 @@ def fit_distances(recording: Recording, settings: LearnSettings, seed: int, fold
             places[undecided] = np.nan
         places = refine_distances(recording, data, places, stream(seed, "map by distances, registered"))
     progress(f"{folder.name}: initial map", 1, 1)
-    fitted = finish(data, places, find_headings(recording, places), start, progress, folder)
+    fitted = finish(data, places, find_headings(recording, places), progress, folder)
     fold = score_folding(places, data.features, data.segments, make_generator(seed, "fold", 0))
     return fitted.note({"fold": fold.record(), "map": record_undecided(undecided)})
-
-
-class DistanceMap(NamedTuple):
-    """Positions (N, 2) [m] and headings (N,) [rad] of observations; NaN: unknown."""
-
-    places: np.ndarray
-    heading: np.ndarray
 
 
 def refine_distances(
@@ -78,19 +68,17 @@ def finish(
     data: TrainingData,
     places: np.ndarray,
     heading: np.ndarray,
-    start: float,
     progress: Report,
     folder: Path,
     std: np.ndarray | None = None,
     mount: tuple[float, float] = (0.0, 0.0),
 ) -> Fitted:
-    """Learn what is seen where (see ``learn``), as a method whose learning began at ``start`` [s]."""
+    """Learn what is seen where; see ``learn``."""
     appearance, index = learn(data, places, heading, std)
     positioner = RegistrationPositioner(index, upright=data.upright, appearance=appearance, mount=mount)
     progress(folder.name, 1, 1)
     stored = sum(tensor.numel() for tensor in appearance.pack().tensors.values())
-    record = {"steps": 0, "train_s": round(time.perf_counter() - start, 1), "parameters": stored}
-    return Fitted(positioner, record | {"left_out_m": appearance.registration.calibration.left_out})
+    return Fitted(positioner, {"parameters": stored, "left_out_m": appearance.registration.calibration.left_out})
 
 
 def find_headings(recording: Recording, positions: np.ndarray) -> np.ndarray:

@@ -12,7 +12,6 @@ minima; and the number of products, which is chosen by segments left out.
 Positions are complex numbers here, so that a direction is a number of size 1.
 """
 
-import time
 from pathlib import Path
 
 import numpy as np
@@ -36,12 +35,11 @@ TOGETHER = 16  # Segments whose products are in memory at once
 
 def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
     """Learn the linear map, without the segments held out."""
-    data, start = prepare(recording, settings, seed, folder.parent), time.perf_counter()
+    data = prepare(recording, settings, seed, folder.parent)
     segments, chosen = subsample_learned(data.segments, len(data.features))
     weights = learn(data.features[chosen].double().numpy(), segments, seed)
     progress(folder.name, 1, 1)
-    training = {"steps": 0, "train_s": round(time.perf_counter() - start, 1), "parameters": weights.numel()}
-    return Fitted(LinearPositioner(data.projection, weights), training)
+    return Fitted(LinearPositioner(data.projection, weights), {"parameters": weights.numel()})
 
 
 def learn(features: np.ndarray, segments: Segments, seed: int) -> torch.Tensor:

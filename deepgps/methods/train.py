@@ -40,13 +40,9 @@ def ask_for_device(scenario: Scenario, folder: Path) -> None:
 
 
 def train(scenario: Scenario, folder: Path, progress: Report, processes: int | None = None) -> None:
-    """Train each method that is not trained yet.
+    """Train each method that is not trained yet in a run's folder, with its recording.
 
-    Args:
-        scenario: The scenario.
-        folder: The run's folder, with its recording.
-        progress: Called with each method's steps done and their number.
-        processes: Most methods that are trained at once; None: one for each usable core.
+    At most ``processes`` are trained at once; None: one for each usable core.
     """
     from deepgps.methods.fit import fit_method
     from deepgps.positioner.stored_positioner import is_finished
@@ -138,12 +134,9 @@ def count_processes(settings: LearnSettings) -> int:
 
 
 def train_side_by_side(trainings: Sequence[Training], most: int, progress: Report) -> None:
-    """Train each method in a process of its own, ``most`` at a time; the first error ends them all.
+    """Train each method in a process of its own, ``most`` at a time; the first error, or a death, ends them all.
 
     Every training continues from its checkpoint when it is started again.
-
-    Raises:
-        WorkError: A process died.
     """
     waiting = list(trainings)
     with ExitStack() as ending:

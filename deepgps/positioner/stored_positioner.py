@@ -48,8 +48,7 @@ def is_finished(folder: Path) -> bool:
 def save_positioner(folder: Path, positioner: Any, training: Mapping[str, Any]) -> None:
     """Write ``weights.safetensors``, ``training.json`` (the record of the training) and, last, ``positioner.json``.
 
-    Raises:
-        WorkError: It is none of deepgps's own positioners; only a plugin's method can return anything else.
+    Raises WorkError if it is none of deepgps's own positioners: only a plugin's method can return anything else.
     """
     if not isinstance(positioner, Positioner):
         raise WorkError(

@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 from deepgps.config.methods import find_method
 from deepgps.data.features import check_shape
 from deepgps.positioner.positioner import Packed, Positioner
-from sim.errors import InputError, WorkError
+from sim.errors import WorkError
 from sim.plugins import name_code
 
 NAMES = ("mean", "axes", "known", "places")
@@ -36,10 +36,7 @@ class ScanPositioner(Positioner):
     def __call__(self, observations: np.ndarray) -> np.ndarray:
         from sklearn.metrics import pairwise_distances_argmin
 
-        if observations.ndim != 3 or observations.shape[2] != len(self.mean):
-            raise InputError(
-                f"observations of shape {observations.shape[1:]}, but trained on scans of {len(self.mean)} rays"
-            )
+        check_shape(observations[:, 0], self.mean.shape)
         if not len(observations):
             return np.zeros((0, 2))
         with threadpool_limits(1):  # which of two equal neighbours is found depends on how the work is divided

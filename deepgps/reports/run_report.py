@@ -37,7 +37,7 @@ OVERVIEW = tuple(column for column in COLUMNS if column[1] in {"rms_m", "median_
 
 
 def read_metrics(run: Path) -> dict[str, Any]:
-    """Read a run's metrics.json; raises InputError for a folder that holds no run or broken metrics."""
+    """Read a run's metrics.json; raises InputError for a folder that holds no run."""
     path = run / METRICS
     if not path.is_file():
         raise InputError(f"{run} is not a run: it has no metrics.json (deepgps run writes one)")
@@ -45,7 +45,7 @@ def read_metrics(run: Path) -> dict[str, Any]:
         metrics = read_json(path)
     except DamagedError as error:
         raise DamagedError(f"{error}; {REPAIR_HINT}") from None
-    if not isinstance(metrics, dict) or not isinstance(metrics.get("methods"), dict):
+    if "methods" not in metrics:
         raise InputError(f"{path} lists no methods: it is not the metrics.json of a run")
     return metrics
 
@@ -303,7 +303,7 @@ def describe_undecided(found: Mapping[str, Any]) -> str | None:
 
 
 def describe_turned(turned: Mapping[str, Any]) -> str | None:
-    """Say which part of a map goes another way than the compass saw, by ``describe_parts``; None: no part."""
+    """Say which part of a map goes another way than the compass saw, by ``find_turned_parts``; None: no part."""
     if not turned.get("parts"):
         return None
     parts = turned["parts"]

@@ -56,13 +56,9 @@ all of the view, differ.
 def label(signs: Signs, around: Signs, leaning: bool, other_room: np.ndarray) -> np.ndarray:
     """Name of each image's cause, the first that holds (N,) str; empty: none.
 
-    Light and furniture can change though an image is accepted.
-
-    Args:
-        signs: What each image shows by itself.
-        around: Shares of the images around each that are relit, and in which something has changed (N,).
-        leaning: Whether the camera leans otherwise than in training, and the method does not correct it.
-        other_room: Whether it is in a long stretch of images nearly all of which are refused (N,) bool.
+    Light and furniture can change though an image is accepted. ``around`` are the shares of the images around each that
+    are relit, and in which something has changed (N,); the camera is ``leaning`` otherwise than in training, and the
+    method does not correct it; ``other_room`` (N,) bool: a long stretch of images nearly all of which are refused.
     """
     known, refused = signs["known_place"], ~signs["accepted"]
     relit, changed = (
@@ -155,7 +151,7 @@ class Monitor:
         """Name the causes in a drive."""
         upright, change = self._find_lean(drive)
         corrected, images = self.positioner.upright is not None, drive.observation
-        leans = upright is not None and change is not None and change > find_least_lean(upright, images.shape[1])
+        leans = bool(upright and change and change > LEAN_RINGS * upright.lens.half_angle / images.shape[1])
         found = self.register(images, upright if corrected else None)
         signs = self.look(images, find_driven(drive), found)
         if leans and not corrected:  # what it shows is seen once it is upright
@@ -183,13 +179,7 @@ class Monitor:
         return upright, measured and float(np.linalg.norm(np.subtract(measured.lean, self.upright.lean)))
 
     def look(self, images: np.ndarray, moved: np.ndarray, found: Registered) -> Signs:
-        """What each image shows by itself.
-
-        Args:
-            images: Polar images (N, rings, sectors, 3).
-            moved: Whether the wheels moved since the image before (N,) bool.
-            found: Where they were taken.
-        """
+        """What each of polar images (N, ...) shows by itself; whether the wheels moved since the last one is (N,)."""
         assert self.positioner.appearance is not None
         accepted, least = found.reason == 0, RELIT_RATIO * self.positioner.appearance.registration.calibration.light
         known = accepted | ((found.reason != REASONS.index("ambiguous")) & (found.unlike_pixels <= USUAL_LIMIT))
@@ -202,20 +192,9 @@ class Monitor:
         }
 
     def label(self, signs: Signs, leaning: bool, window: int) -> np.ndarray:
-        """Name of the cause of each image in the order driven (N,) str; empty: none.
-
-        Args:
-            signs: What each shows by itself.
-            leaning: Whether the camera leans otherwise than in training, and the method does not correct it.
-            window: Images that a stretch of another room has at least.
-        """
+        """Like ``label``, where a stretch of another room has at least ``window`` images."""
         around = {name: share_around(signs[name]) for name in ("relit", "changed")}
         return label(signs, around, leaning, find_long(~signs["accepted"], window))
-
-
-def find_least_lean(upright: Upright, rings: int) -> float:
-    """The least change of a camera's lean that images with so many rings show for certain [rad]."""
-    return LEAN_RINGS * upright.lens.half_angle / rings
 
 
 def make_monitor(positioner: Positioner, recording: Recording) -> Monitor | None:

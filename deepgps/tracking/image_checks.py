@@ -43,15 +43,9 @@ def find_limits(recording: Recording) -> ImageLimits:
 
 
 def check_images(images: np.ndarray, moved: np.ndarray, limits: ImageLimits) -> dict[str, np.ndarray]:
-    """Which images are black, white, covered or frozen.
+    """Which polar images (N, rings, sectors, 3) uint8 are black, white, covered or frozen, (N,) bool by these names.
 
-    Args:
-        images: Polar images (N, rings, sectors, 3) uint8.
-        moved: Whether the wheels moved since the image before (N,) bool; only then can it be frozen.
-        limits: Limits from training images.
-
-    Returns:
-        Arrays (N,) bool by these names.
+    An image can be frozen only where the wheels moved since the one before (N,) bool.
     """
     chunks = [images[start : start + BATCH] for start in range(0, len(images), BATCH)]
     bright, dark, detail, flat = np.concatenate([np.empty((4, 0)), *map(measure_images, chunks)], axis=1)

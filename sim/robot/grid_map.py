@@ -188,8 +188,8 @@ def _open_doors(by_rays: np.ndarray, fits: np.ndarray, been: np.ndarray) -> np.n
 
 def find_reached(floor: np.ndarray, been: np.ndarray) -> np.ndarray:
     """The parts of the floor, a mask of cells, in which the robot was, a mask, too; all before it was anywhere."""
-    count, parts = cv2.connectedComponents(floor.astype(np.uint8), connectivity=4)
-    reached = np.zeros(count, bool)
+    count, marked = cv2.connectedComponents(floor.astype(np.uint8), connectivity=4)
+    parts, reached = np.asarray(marked, np.int32), np.zeros(count, bool)
     reached[parts[floor & been]] = True
     return floor & reached[parts] if been.any() else floor
 

@@ -178,14 +178,9 @@ def _cut(variance: np.ndarray) -> np.ndarray:
 def _expect_unevenness(part: np.ndarray, grown: np.ndarray, rounding_m2: float, last: np.ndarray) -> np.ndarray:
     """Expected squared errors (r,) [m^2] of readings at these parts of the lengths of their bars, both ends known.
 
-    Errors that add up to a random walk leave a Brownian bridge, ``v (1 - v / v_end)``. The rounding of a reading, with
-    the variance q / 2, adds to that of the ends as it is interpolated.
-
-    Args:
-        part: Of the length of the bar, from 0 to 1 (r,).
-        grown: Variance that has added up since the beginning of the bar (r,) [m^2].
-        rounding_m2: Variance of a distance between two readings by rounding, q [m^2].
-        last: The last reading of the bar of each (r,).
+    Errors that have ``grown`` from the bar's beginning (r,) [m^2], as a random walk, leave a Brownian bridge, ``v (1 -
+    v / v_end)``. The rounding of a reading, half of that of a distance [m^2], adds to that of the ends as it is
+    interpolated. ``last`` (r,) is the last reading of each one's bar.
     """
     bridge = grown * (1.0 - grown / grown[last].clip(np.finfo(float).tiny))
     rounding = rounding_m2 / 2.0 * (1.0 + (1.0 - part) ** 2 + part**2)

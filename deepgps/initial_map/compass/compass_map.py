@@ -119,10 +119,8 @@ class CompassMap:
     heading: np.ndarray  # Heading of the robot at each (N,) [rad]
     std: np.ndarray  # Standard deviation of each position along either axis, after alignment of the whole map (N,) [m]
     error: np.ndarray  # Samples of the positions' errors after alignment (N, 2, SAMPLES) [m]
-    inliers: np.ndarray  # Which loop closures are inliers (n,) bool
     # Observations that look-alikes would let lie elsewhere, or that nothing joins to the rest (N,) bool
     undecided: np.ndarray
-    repeats_m: float  # Distance after which the world repeats [m]; infinite: it does not repeat; 0: unknown
     # Curvature of what the robot drives for straight [1 / m], the camera's place ahead of the axle and to its left
     # [m] (3,)
     shared: np.ndarray
@@ -259,21 +257,7 @@ def _describe(layout: Layout, fit: Fit, closures: Closures, observations: int, r
     undecided[bars.observation[doubted[bars.segment[bars.row]]]] = True
     stages = _thin_out(bars, links, fit, main, len(closures.first), observations)
     shared_std = np.sqrt((samples[-SHARED_UNKNOWNS:] ** 2).mean(axis=1))
-    return CompassMap(
-        places,
-        heading,
-        std,
-        error,
-        stages[-1].inliers,
-        undecided,
-        inliers.repeats_m,
-        bars.shared,
-        shared_std,
-        closures,
-        stages,
-        layout,
-        fit,
-    )
+    return CompassMap(places, heading, std, error, undecided, bars.shared, shared_std, closures, stages, layout, fit)
 
 
 def _thin_out(

@@ -58,7 +58,9 @@ def find_affine_maps(count: int, segments: Segments, closures: LoopClosures) -> 
             return
         yield places
         for scale in ROBUST_SCALES:
-            trust = (1.0 + _measure_gaps(graph, places) / (scale * graph.step) ** 2) ** -2
+            point = places[graph.observation]
+            squared = ((point[graph.a] - point[graph.b]) ** 2).sum(axis=1)  # of readings that should coincide
+            trust = (1.0 + squared / (scale * graph.step) ** 2) ** -2
             robust = _lay_out(graph, _find_modes_if_any(graph, trust), used, count)
             if robust is None:
                 break
@@ -125,12 +127,6 @@ def _lay_out(graph: PoseGraph, modes: Modes | None, used: int, count: int) -> np
     places = np.full((count, 2), np.nan)
     places[graph.observation] = (middle[:, :used] @ plane)[graph.bar] + graph.along[:, None] * ahead[graph.bar]
     return places
-
-
-def _measure_gaps(graph: PoseGraph, places: np.ndarray) -> np.ndarray:
-    # Squared distances of the readings that should coincide (p,) [m^2].
-    point = places[graph.observation]
-    return ((point[graph.a] - point[graph.b]) ** 2).sum(axis=1)
 
 
 def _join_bars(graph: PoseGraph, weight: np.ndarray) -> csc_array:

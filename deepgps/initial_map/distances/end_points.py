@@ -92,10 +92,8 @@ def fit_mixture(places: np.ndarray, segments: Segments, mixture: csr_array) -> n
         trust = MIXTURE_STD_M**-2 * (1.0 + (apart**2).sum(axis=1) / scale**2) ** -2
         weight = np.concatenate([BAR_STDS_M[1] ** -2 * (1.0 + off**2 / scale**2) ** -2, np.repeat(trust, 2)])
         none = np.empty(0, int)
-        slope = vstack([_slope(a, b, bar / length[:, None], none, none, len(place)), off_mixture]).tocsc()
-        weighted = slope.multiply(weight[:, None]).tocsc()
-        normal = (slope.T @ weighted + eye_array(2 * len(place))).tocsc()
-        step = -_solve(normal, weighted.T @ np.concatenate([off, apart.ravel()])).reshape(-1, 2)
+        slope = csc_array(vstack([_slope(a, b, bar / length[:, None], none, none, len(place)), off_mixture]))
+        step = _descend(slope, weight, np.concatenate([off, apart.ravel()]), 1.0)
         place = place + step.clip(-MAX_STEP_M, MAX_STEP_M)
     return np.where(known[:, None], place, np.nan)
 
@@ -124,10 +122,8 @@ def relax_ends(places: np.ndarray, segments: Segments, closures: LoopClosures) -
     """Move all places (N, 2) [m] until bars and loop closures, each pair once, fit; those that are NaN stay NaN.
 
     Minimises ``sum_b w_b ((|p_i - p_j| - d) / s)^2 + sum_l w_l |p_i - p_j|^2`` by Gauss-Newton, with Geman and
-    McClure's robust weights ``w = s_l^-2 (1 + r^2 / b^2)^-2`` of residuals r at the scale b.
-
-    Returns:
-        Places (N, 2) [m], and their misfit: mean squared residuals in units of ``ERROR_UNIT_M``, each cut off at 4.
+    McClure's robust weights ``w = s_l^-2 (1 + r^2 / b^2)^-2`` of residuals r at the scale b. Returns places (N, 2) [m]
+    and their misfit: mean squared residuals in units of ``ERROR_UNIT_M``, each cut off at 4.
     """
     known = np.asarray(np.isfinite(places).all(axis=1))
     number, place = np.cumsum(known) - 1, places[known].copy()
@@ -145,9 +141,7 @@ def relax_ends(places: np.ndarray, segments: Segments, closures: LoopClosures) -
             ]
         )
         slope = _slope(a, b, bar / length[:, None], c, e, len(place))
-        weighted = slope.multiply(weight[:, None]).tocsc()
-        normal = (slope.T @ weighted + diags_array(np.full(2 * len(place), ANCHOR_STD_M**-2))).tocsc()
-        step = -_solve(normal, weighted.T @ np.concatenate([off, apart.ravel()])).reshape(-1, 2)
+        step = _descend(slope, weight, np.concatenate([off, apart.ravel()]), ANCHOR_STD_M**-2)
         place += step * np.minimum(1.0, MAX_STEP_M / np.linalg.norm(step, axis=1).clip(1e-9))[:, None]
     off, apart = np.linalg.norm(place[a] - place[b], axis=1) - distance, np.linalg.norm(place[c] - place[e], axis=1)
     off, apart = off / ERROR_UNIT_M, apart / np.hypot(near, ERROR_UNIT_M)
@@ -190,15 +184,17 @@ def _fit_unlikeness(unlike: torch.Tensor, distance: torch.Tensor) -> tuple[float
     return float((-distance / torch.log(1.0 - (unlike / far) ** 2))[short].median()), far
 
 
-def _solve(normal: csc_array, right: np.ndarray) -> np.ndarray:
-    """Solve a symmetric positive system by conjugate gradients: long bars cross the room and would fill up factors.
+def _descend(slope: csc_array, weight: np.ndarray, residual: np.ndarray, hold: float) -> np.ndarray:
+    """Gauss-Newton step (n, 2) [m], damped by ``hold``, by conjugate gradients: long bars would fill up factors.
 
     A truncated solution is still a descent direction, and the next round continues from there.
     """
-    found, _ = cg(
-        normal, right, rtol=SOLVER_TOLERANCE, maxiter=MAX_SOLVER_STEPS, M=diags_array(np.reciprocal(normal.diagonal()))
-    )
-    return found
+    weighted = slope.multiply(weight[:, None]).tocsc()
+    right = weighted.T @ residual
+    normal = (slope.T @ weighted + diags_array(np.full(len(right), hold))).tocsc()
+    scale = diags_array(np.reciprocal(normal.diagonal()))
+    found, _ = cg(normal, right, rtol=SOLVER_TOLERANCE, maxiter=MAX_SOLVER_STEPS, M=scale)
+    return -found.reshape(-1, 2)
 
 
 def _among(known: np.ndarray, number: np.ndarray, pairs: LoopClosures) -> LoopClosures:

@@ -37,7 +37,7 @@ def map_by_paths(
 
     NaN outside the largest connected part. Raises InputError if the segments are not connected.
     """
-    first, second, length = join_closures(segments, closures)
+    first, second, length = (np.concatenate(pair) for pair in zip(find_steps(segments), closures, strict=True))
     graph = _join(first, second, length, observations)
     main = _largest_part(graph)
     landmarks = main[torch.randperm(len(main), generator=generator)[:LANDMARKS].numpy()]
@@ -92,12 +92,6 @@ def find_steps(segments: Segments) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     distance = segments.distance[:, 1:] - segments.distance[:, :-1]
     chosen = (segments.index[:, :-1][valid], segments.index[:, 1:][valid], distance[valid].double())
     return chosen[0].numpy(), chosen[1].numpy(), chosen[2].numpy()
-
-
-def join_closures(segments: Segments, closures: LoopClosures) -> LoopClosures:
-    """Steps along the segments together with loop closures: first and second observations, distances [m]."""
-    first, second, length = (np.concatenate(pair) for pair in zip(find_steps(segments), closures, strict=True))
-    return first, second, length
 
 
 def _find_nearest(

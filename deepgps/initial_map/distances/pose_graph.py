@@ -61,9 +61,8 @@ def relax(places: np.ndarray, segments: Segments, closures: LoopClosures) -> tup
     |p_i - p_j|^2 / b^2)^-2``, ``s_l`` the expected difference and ``b`` the scale. Two bars always meet in an
     observation that they share: there ``w_l = s_l^-2``. Each loop closure is a pair in both orders.
 
-    Returns:
-        Positions (N, 2) float64 [m]; observations on no segment keep theirs. And the cost, the sum of
-        ``s_l^-2 |p_i - p_j|^2 / (1 + |p_i - p_j|^2 / b^2)`` with the last b, without the divisor where two bars meet.
+    Returns positions (N, 2) float64 [m], as they were where on no segment, and the cost: the sum of ``s_l^-2 |p_i -
+    p_j|^2 / (1 + |p_i - p_j|^2 / b^2)`` with the last b, without the divisor where two bars meet.
     """
     graph = build_pose_graph(segments, closures, np.asarray(np.isfinite(places).all(axis=1)))
     middle, heading = lay_bars(places[graph.observation], graph)
@@ -202,12 +201,10 @@ class Normal(NamedTuple):
 
 
 class UnevenBars:
-    """Bars and their unknowns: x, y [m], heading [rad] and the coefficients of the cosines [m].
+    """Bars and their unknowns (L, 3 + COSINES): x, y [m], heading [rad] and the coefficients of the cosines [m].
 
-    Attributes:
-        noise: Standard deviation of a gap, relative to it.
-        usual: Inverse of the factor by which the variance of each bar exceeds that of such noise (L,).
-        unknown: Unknowns of each bar (L, 3 + COSINES).
+    ``noise`` is the standard deviation of a gap, relative to it; ``usual`` (L,) the inverse of the factor by which the
+    variance of each bar exceeds that of such noise.
     """
 
     def __init__(self, graph: PoseGraph, places: np.ndarray) -> None:

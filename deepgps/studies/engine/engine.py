@@ -8,7 +8,6 @@ therefore does only what is missing, under any engine.
 import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from functools import lru_cache
 from pathlib import Path
 from typing import Literal
 
@@ -42,11 +41,7 @@ _HASH = "[0-9a-f]{8}"
 
 def find_study_files() -> re.Pattern[str]:
     """Pattern of the paths, within a study's folder, of all its files, with any method that is known now."""
-    return _make_pattern(RUN.files.pattern)
-
-
-@lru_cache
-def _make_pattern(of_run: str) -> re.Pattern[str]:
+    of_run = RUN.files.pattern
     return re.compile(
         rf"study\.yaml|table\.(md|parquet(\.sha256)?)|study\.rrd(\.sha256)?|figures/({'|'.join(PICTURES)})\.png"
         rf"|runs/{_HASH}/({of_run}|\.deepgps)|trainings/{_HASH}/({TRAINED_FILES}|{FEATURE_FILES})"

@@ -53,7 +53,7 @@ def digest_training(scenario: Scenario, method: str, recording: Recording) -> st
 def _find(scenario: Scenario, run: Path) -> list[tuple[str, Path]]:
     home, recording = run.parent.parent / "trainings", open_recording(run / "recording")
     features = digest_features(recording, scenario.learn, training_seed(scenario))[:8]
-    shared = [method for method in scenario.methods if not METHODS[method].reads_ticks]
+    shared = [method for method in scenario.methods if METHODS[method].map == "labels"]
     return [
         (FEATURES, home / features),
         *((method, home / digest_training(scenario, method, recording)) for method in shared),

@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Sequence
-from typing import Any
 
 from deepgps.config.methods import title_of
 from deepgps.config.scenario import Scenario
@@ -93,7 +92,8 @@ def name_faults(rows: Sequence[Row], varied: Sequence[str]) -> list[Row]:
     for row in rows:
         faults = [name for name in usual if row[name] != usual[name]]
         shown = [name for name in faults if name not in TRAINING_NAMES] or faults
-        title = ", ".join(_write_fault(name, row[name]) for name in shown) or NO_FAULT
+        forms = (SINGULARS.get((name, row[name])) or TITLES.get(name, f"{name} {{}}") for name in shown)
+        title = ", ".join(form.format(row[name]) for form, name in zip(forms, shown, strict=True)) or NO_FAULT
         deployed = bool(faults) and all(name.startswith("deployment.") for name in faults)
         lean = f"{LEANS[faults[0]]}_{row[faults[0]]:g}" if len(faults) == 1 and faults[0] in LEANS else None
         case = f"{title}, {CHANGE_TIMES[True]}" if deployed else title
@@ -107,10 +107,6 @@ def pair_faults(rows: Sequence[Row], varied: Sequence[str]) -> list[Row]:
     named = name_faults(rows, varied)
     order = list(dict.fromkeys(row["fault"] for row in named))
     return sorted(named, key=lambda row: order.index(row["fault"]))
-
-
-def _write_fault(name: str, value: Any) -> str:
-    return SINGULARS.get((name, value)) or TITLES.get(name, f"{name} {{}}").format(value)
 
 
 def name_changes(rows: Sequence[Row], varied: Sequence[str]) -> list[Row]:

@@ -70,24 +70,15 @@ def add_drives(run: Path, row: Row) -> Row:
             f"which {title_of(row['method'])} does not"
         )
     expected = find_expected(row)
-    own = make_drive("", expected, use["accepted"], use["causes"], measure_use(run, row))
+    own = {
+        "fault": "",  # What is wrong, in words; empty: what the run's settings change
+        "expected": expected,  # The cause that should be named; empty: none
+        "accepted": use["accepted"],  # Share of the images
+        "causes": use["causes"],  # As ``Causes.summarise`` returns them
+        "figures": measure_use(run, row),  # Coverage of the radii and refusal of large errors; empty: not measured
+    }
     derived = derive_drives(run, row["method"]) if not expected else ()
     return {DRIVES: json.dumps([own, *derived])}
-
-
-def make_drive(
-    fault: str, expected: str, accepted: float, causes: Mapping[str, Any], figures: Mapping[str, float | None]
-) -> dict[str, Any]:
-    """What is said of one deployment drive, as the table keeps it.
-
-    Args:
-        fault: What is wrong with it, in words; empty: what the run's settings change.
-        expected: The cause that should be named; empty: none.
-        accepted: Share of its images that are accepted.
-        causes: What ``Causes.summarise`` returns.
-        figures: Coverage of the radii and refusal of large errors, by name; empty where they are not measured.
-    """
-    return {"fault": fault, "expected": expected, "accepted": accepted, "causes": causes, "figures": figures}
 
 
 def find_expected(row: Row) -> str:
@@ -127,8 +118,8 @@ def derive_drives(run: Path, method: str) -> Iterator[dict[str, Any]]:
         yield describe(TITLES["other_room"], "other_room", monitor.name(other))
     position = monitor.positioner.locate_camera(recording.observation)
     part = keep_segments(recording, position[:, 0] < np.quantile(position[:, 0], SEEN_SHARE))
-    learns = METHODS[method].reads_ticks  # others learn from labels, which are of all images
-    if learns and len(np.unique(part.reading[:, 0])) >= MIN_SEGMENTS:
+    # labels are of all images
+    if METHODS[method].map != "labels" and len(np.unique(part.reading[:, 0])) >= MIN_SEGMENTS:
         scenario = open_run(run)
         with TemporaryDirectory() as folder:
             taught = fit_method(method, part, scenario.learn, training_seed(scenario), Path(folder) / method)
@@ -148,7 +139,9 @@ def find_other_rooms(run: Path, recording: Recording) -> Iterator[Recording]:
 
 
 def describe(fault: str, expected: str, causes: Causes) -> dict[str, Any]:
-    return make_drive(fault, expected, float(causes.accepted.mean()), causes.summarise(), {})
+    """What is said of a drive that is derived, as of a run's own."""
+    accepted, summary = float(causes.accepted.mean()), causes.summarise()
+    return {"fault": fault, "expected": expected, "accepted": accepted, "causes": summary, "figures": {}}
 
 
 def spoil_drive(drive: Recording, spoil: Spoil) -> Recording:

@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from deepgps.evaluation.error_field import find_rms
 from deepgps.studies.reports.compare import COMPARE
 from deepgps.studies.reports.compare import NOTE as COMPARE_NOTE
 from deepgps.studies.reports.paper import OUR_METHODS, compare_with_posenet
@@ -123,11 +124,6 @@ def pool_by_reach(rows: Sequence[Row], varied: Sequence[str]) -> list[Row]:
 def pool(rows: Sequence[Row], parts: Sequence[int] = range(BINS)) -> np.ndarray:
     """Errors (n,) [m] of all positions of these rows in these bins of reach."""
     return np.concatenate([np.asarray(row[f"errors_{part}_m"], float) for row in rows for part in parts])
-
-
-def find_rms(errors: np.ndarray) -> float:
-    """Root mean square of errors (n,) [m]."""
-    return float(np.sqrt(np.mean(errors**2)))
 
 
 def divide_joined(rows: Sequence[Row], varied: Sequence[str]) -> list[Row]:

@@ -138,13 +138,8 @@ def test_other_kinds_of_observations_are_written_and_described(kind: Observation
 def test_wrong_data_are_refused_in_one_line_and_leave_nothing(drive: dict, tmp_path: Path):
     arrays, truth = drive["arrays"], drive["truth"]
     count = len(arrays["observations"])
-    late = arrays["readings"].copy()
-    late[-1, 1] = count
     for message, changed in {
-        r"readings \(\d+, 3\): must have rows of 4": {"readings": arrays["readings"][:, :3]},
         "readings float64: must be integers": {"readings": arrays["readings"] * 1.0},
-        f"readings: the observations must be numbers from 0 to {count - 1}": {"readings": late},
-        r"time \(1,\): must have the shape": {"time": [0.0]},
         "odometry.track_m must be a number": {"odometry": {"wheel_radius_m": 0.03, "ticks_per_rev": 4096}},
         "kind 'image': must be polar_image": {"kind": "image"},
         "observations .* float64: must be .* uint8 RGB": {"observations": arrays["observations"] / 255},
@@ -155,7 +150,6 @@ def test_wrong_data_are_refused_in_one_line_and_leave_nothing(drive: dict, tmp_p
         "pose: test_pose and free_space need": {"test_pose": truth["test_pose"]},
         "pose and test_pose: must be finite": {**truth, "pose": np.full((count, 3), np.nan)},
         "pose: covers .* x .* m, more than the 10000 m2 .*; give free_space": {**truth, "pose": truth["pose"] * 1000.0},
-        "time: no number, or no increase": {"time": arrays["time"][::-1]},
         r"observations \(\d+, 2, .*\), test_.*: camera.rings 2: must be": {
             "observations": arrays["observations"][:, :2],
             "test_observations": arrays["test_observations"][:, :, :2],

@@ -14,26 +14,14 @@ from sim.robot_log.mcap_file import read_key
 from tests.helpers.command import MINI, arrays, assert_one_clear_line, deepgps, deepgps_here, wait_until
 
 ONE_LINE_ERRORS = [
-    (
-        ["run", "living_room", "--encoder.ticks-per-rev", "abc"],
-        "--encoder.ticks-per-rev 'abc': must be a valid integer",
-    ),
-    (["run", "living_room", "--encoder.tickz", "3"], "--encoder.tickz: there is no such setting; there are"),
-    (["run", "living_room", "--encoder.tick-per-rev", "3"], "did you mean --encoder.ticks-per-rev?"),
-    (["run", "living_room", "--room.seed"], "--room.seed needs a value"),
     (["run", "living_room", "--room.seed", "1", "2"], "--room.seed takes one value, not 1 2"),
     (["run", "nowhere"], "scenario 'nowhere' does not exist; there are corridor, demo, flat, lab, labyrinth"),
-    (["run", "missing.yaml"], "scenario missing.yaml: no such file"),
     (["run"], "deepgps run needs a scenario first"),
-    (["run", "living_room", "--out"], "--out"),
     (["fly"], "command 'fly' does not exist; there are run, collect"),
     (["study"], f"deepgps study needs a study first: {', '.join(names_in(STUDIES))}, or a path"),
     (["study", "zzz"], f"study 'zzz' does not exist; there are {', '.join(names_in(STUDIES))}, or a path"),
-    (["study", "missing.yaml"], "study missing.yaml: no such file"),
-    (["study", "seeds", "--tinny"], "--tinny"),
     (["view", "."], "is no run folder: it has no scenario.yaml"),
     (["view"], "deepgps view takes one folder, or two to compare, not 0"),
-    (["view", "a", "b", "c"], "deepgps view takes one folder, or two to compare, not 3"),
     (["view", "nowhere"], "nowhere does not exist"),
     (["train", "."], ". is neither a run (it has no scenario.yaml) nor a recording (it has no manifest.json)"),
     (["rooms", "--kinds", "attic"], "--kinds 'attic' does not exist; there are all, living_room"),
@@ -41,12 +29,6 @@ ONE_LINE_ERRORS = [
     (["rooms", "--seeds", f"0-{10**30}"], f"--seeds '0-{10**30}': one to a hundred whole numbers"),
     (["study", "seeds", "--engine", "x"], "invalid choice 'x'"),
     (["view", "a", "--port", "x"], "error: deepgps view: --port x: must be INT"),
-    (["run", "tiny", "--plugin", "/dev/null"], "plugin /dev/null"),
-]
-FILES = [
-    ("", "is empty; a settings file is a mapping"),
-    ("rooom: {}", "rooom: there is no such setting, did you mean room?"),
-    ("a: !!python/object/apply:os.system [ls]", "is of type python/object/apply:os.system"),
 ]
 
 
@@ -55,22 +37,13 @@ def test_wrong_words_give_one_clear_line(tmp_path):
         assert_one_clear_line(deepgps_here(*words, cwd=tmp_path), 2, message, tmp_path)
 
 
-def test_wrong_files_give_one_clear_line(tmp_path, tmp_path_factory):
-    path = tmp_path_factory.mktemp("wrong") / "mine.yaml"
-    for text, message in FILES:
-        path.write_text(text)
-        assert_one_clear_line(deepgps_here("run", str(path), cwd=tmp_path), 2, message, tmp_path)
-    path.write_text("")
-    done = deepgps_here("study", str(path), cwd=tmp_path)
-    assert_one_clear_line(done, 2, "mine.yaml is empty; a settings file is a mapping", tmp_path)
-
-
 def test_a_world_without_a_camera_needs_no_renderer(tmp_path):
     words = ("collect", "landmarks", "--landmarks.segments", "4", "--grid.spacing-m", "0.5", "--out", "plane")
     done = deepgps(*words, cwd=tmp_path, MUJOCO_GL="nothing")
     assert done.returncode == 0, done.stderr
     check_recording(tmp_path / "plane" / "recording")
-    assert deepgps("collect", "tiny", "--out", "room", cwd=tmp_path, MUJOCO_GL="nothing").returncode == 2
+    refused = deepgps("collect", "tiny", "--out", "room", cwd=tmp_path, MUJOCO_GL="nothing")
+    assert refused.returncode == 2 and "MUJOCO_GL" in refused.stderr and refused.stderr.count("\n") == 1
 
 
 @pytest.mark.slow
@@ -110,20 +83,6 @@ def test_a_room_that_reaches_out_of_its_folder_is_refused(tmp_path, tmp_path_fac
     assert_one_clear_line(done, 2, "../secret.xml", tmp_path)
 
 
-def test_a_renderer_of_no_kind_is_named(tmp_path):
-    done = deepgps("run", "tiny", cwd=tmp_path, MUJOCO_GL="bogus")
-    assert_one_clear_line(done, 2, "MUJOCO_GL", tmp_path)
-
-
-ABOUT = {"run": "Run a scenario", "collect": "Only drive", "train": "Collect, and train", "evaluate": "Collect, train,"}
-
-
-@pytest.mark.parametrize("command", ABOUT)
-def test_help_says_what_a_command_does(command, tmp_path):
-    for option in ("--help", "--help-all"):
-        assert ABOUT[command] in deepgps_here(command, option, cwd=tmp_path).stdout
-
-
 @pytest.mark.slow
 def test_a_run_leaves_all_that_was_promised(finished_run):
     for name in ("scenario.yaml", "metrics.json", "error_field.npz", "run.rrd", "log.txt", "recording/scene.glb"):
@@ -158,13 +117,6 @@ def test_done_work_is_not_done_again(finished_run):
     assert "DeepGPS" in done.stdout
     changed = [path.name for path, time in before.items() if path.stat().st_mtime_ns != time]
     assert not changed
-
-
-@pytest.mark.slow
-def test_a_folder_of_another_run_is_not_touched(finished_run):
-    done = deepgps_here("run", "mini.yaml", "--seed", "7", "--out", "run", cwd=finished_run.parent)
-    assert done.returncode == 2
-    assert "holds a run of another scenario (a recording, trained" in done.stderr
 
 
 MOMENTS = ("recording.collecting/drive-*.npz", "deepgps/**/checkpoint.pt", "metrics.json")

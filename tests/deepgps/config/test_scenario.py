@@ -59,11 +59,9 @@ def test_numbers_that_yaml_reads_as_text_are_numbers(tmp_path):
         ),
         ("room: {kind: attic}", "room.kind 'attic': must be 'living_room', 'bedroom'"),
         ("room: {sed: 3}", "room.sed: there is no such setting, did you mean seed?"),
-        ("rooom: {}", "rooom: there is no such setting, did you mean room?"),
         ("encoder: {ticks_per_rev: 3}", "encoder.ticks_per_rev 3: must be greater than or equal to 4"),
         ("encoder: {ticks_per_rev: .nan}", "encoder.ticks_per_rev nan: must be a finite number"),
         ("methods: []", "methods: at least one method, each once"),
-        ("methods: [deepgps, deepgps]", "methods: at least one method, each once"),
         (
             "drive: {headings: map, until: {unseen: 0.1, radius_m: 0.02}}",
             "drive.until.radius_m 0.02 needs registration in methods",
@@ -87,10 +85,6 @@ def test_numbers_that_yaml_reads_as_text_are_numbers(tmp_path):
             "image_faults changes what a camera sees, so it needs world room and sensor",
         ),
         (
-            "{sensor: lidar, camera_mount: {roll_deg: 2}}",
-            "camera_mount changes what a camera sees, so it needs world room and sensor fisheye",
-        ),
-        (
             "{grid: {held_out: 5}, deployment: {light: 0.5}}",
             "deployment changes the room of the test grid, and grid.held_out 5 has none",
         ),
@@ -103,10 +97,6 @@ def test_numbers_that_yaml_reads_as_text_are_numbers(tmp_path):
             "deployment.drive_samples 50 needs world room, and the world is obstacles",
         ),
         (
-            "{world: landmarks, drive: {strategy: endpoint}}",
-            "drive.strategy endpoint needs world room, and the world is landmarks",
-        ),
-        (
             "{room: {kind: lab, look_alike: true}}",
             "look_alike: a lab has tags that are all different",
         ),
@@ -114,35 +104,14 @@ def test_numbers_that_yaml_reads_as_text_are_numbers(tmp_path):
             "tag_camera: {mounted: true}",
             "tag_camera.mounted needs tags: room.kind lab has some, and living_room has none",
         ),
-        ("seed: true", "seed True: must be numeric, not true or false"),
-        ("encoder: {step_noise: yes}", "encoder.step_noise True: must be numeric, not true or false"),
         ("room: {width_m: on}", "room.width_m True: must be numeric, not true or false"),
         ("deployment: {drive_samples: 15}", "deployment.drive_samples: 15 must be 0 or at least 16"),
-        (
-            "deployment: {drive_samples: 100001}",
-            "deployment.drive_samples 100001: must be less than or equal to 100000",
-        ),
         (
             "{sensor: lidar, deployment: {drive_samples: 50, light: 0.5}}",
             "deployment changes what a camera sees, so it needs world room and sensor fisheye",
         ),
-        (
-            "{sensor: lidar, deployment: {camera_mount: {roll_deg: 5}}}",
-            "deployment changes what a camera sees, so it needs world room and sensor fisheye",
-        ),
-        (
-            "{grid: {held_out: 5}, deployment: {drive_samples: 50, camera_mount: {roll_deg: 5}}}",
-            "deployment changes the room of the test grid, and grid.held_out 5 has none",
-        ),
-        (
-            "deployment: {camera_mount: {roll_deg: 31}}",
-            "deployment.camera_mount.roll_deg 31: must be less than or equal",
-        ),
         ("image_faults: {exposure: 0}", "image_faults.exposure 0: must be greater than 0"),
-        ("image_faults: {vignetting: 1}", "image_faults.vignetting 1: must be less than or equal to 0.99"),
-        ("deployment: {light: 1.5}", "deployment.light 1.5: must be less than or equal to 1"),
         ("room.seed: 3", "room.seed: groups nest in a file: room: {seed: ...}"),
-        ("learn.train.steps: 3", "learn.train.steps: groups nest in a file: learn: {train: {steps: ...}}"),
         (f"seed: {2**63}", f"seed {2**63}: must be less than or equal to {2**63 - 1}"),
         ("robot: {left_joint: wheel}", "robot: left_joint wheel names a part of a robot of your own, and needs mjcf"),
         ("{world: landmarks, robot: {wheel_radius_error: 0.1}}", "robot needs world room, and the world is landmarks"),
@@ -249,11 +218,6 @@ def test_a_file_that_does_not_exist_and_a_name_that_does_not():
         load_scenario("nowhere", {})
 
 
-def test_an_override_inside_a_plain_value_is_refused():
-    with pytest.raises(InputError, match=r"seed\.x: seed is not a group"):
-        load_scenario("living_room", {"seed": "1", "seed.x": "2"})
-
-
 @pytest.mark.parametrize(
     ("as_group", "dotted"),
     [
@@ -276,6 +240,7 @@ def test_a_group_given_as_a_mapping_sets_what_it_names_and_no_more(as_group, dot
         ({"drive": {"sampels": 50}}, "drive.sampels: there is no such setting, did you mean samples?"),
         ({"seed": {"x": 2}}, "seed {'x': 2}: must be a valid integer"),
         ({"room.seed": {}}, "room.seed {}: must be a valid integer"),
+        ({"seed": "1", "seed.x": "2"}, "seed.x: seed is not a group"),
     ],
 )
 def test_a_wrong_group_given_as_a_mapping_is_named_by_its_setting(overrides, message):

@@ -22,9 +22,8 @@ def places(recording: Recording) -> np.ndarray:
 
 def test_a_right_map_and_its_mirror_image_have_no_turned_part(recording: Recording, places: np.ndarray):
     for mirror in (1.0, -1.0):
-        found = find_turned_parts(places * [1.0, mirror] @ rotate(np.array(1.2)) + 3.0, recording)
-        assert found is not None and found.turns > 10
-        assert found.share == 0.0 and not found.parts
+        found = find_turned_parts(places * [1.0, mirror] @ rotate(np.array(1.2)) + 3.0, recording)["turned"]
+        assert found["turns"] > 10 and found["share"] == 0.0 and not found["parts"]
 
 
 def test_a_part_that_is_mirrored_is_found(recording: Recording, places: np.ndarray):
@@ -32,6 +31,5 @@ def test_a_part_that_is_mirrored_is_found(recording: Recording, places: np.ndarr
     folded = places.copy()
     beyond = places[:, 0] > middle
     folded[beyond, 0] = 2 * middle - folded[beyond, 0]  # folded over along a line: each segment beyond keeps its length
-    found = find_turned_parts(folded, recording)
-    assert found is not None and found.parts
-    assert 0.05 < found.share < 0.6
+    found = find_turned_parts(folded, recording)["turned"]
+    assert found["parts"] and 0.05 < found["share"] < 0.6

@@ -42,15 +42,6 @@ def test_the_table_holds_the_metrics_in_centimetres(metrics: dict) -> None:
     assert [row[0] for row in rows] == ["DeepGPS", "mine", "Dead reckoning, path"]
 
 
-def test_the_drive_says_how_much_it_has_not_seen(metrics: dict) -> None:
-    found = {"unseen": 0.004, "unseen_low": 0.001, "unseen_high": 0.009, "radius_m": 0.011, "driven_m": 412.2}
-    said = " ".join(describe({**metrics, "explore": {**found, "images": 5150, "ended_by": "unseen"}}))
-    assert "0.4 % of the floor unseen (0.1 to 0.9), radius 1.1 cm, after 412 m" in said
-    unregistered = {**found, "radius_m": None, "ended_by": "samples"}
-    assert "ended with its last image" in (said := " ".join(describe({**metrics, "explore": unregistered})))
-    assert "(0.1 to 0.9), after 412 m" in said
-
-
 def test_a_figure_that_a_method_lacks_is_a_dash_in_both_forms_of_the_table(metrics: dict) -> None:
     del metrics["methods"]["mine"]["scale"]
     headings, rows = tabulate(metrics)
@@ -161,21 +152,3 @@ def test_errors_of_what_is_accepted_are_below_those_of_all(metrics: dict) -> Non
     assert accepted["method"].strip() == "98.1 % accepted"
     assert accepted["RMS [cm]"] == accepted["p95 [cm]"] == accepted["max [cm]"] == "1.1"
     assert accepted["train [s]"] == accepted["align"] == ""
-
-
-def test_what_is_accepted_and_what_a_map_expects_are_told(metrics: dict) -> None:
-    before = describe(metrics)
-    for values in metrics["methods"].values():
-        accept_some(values)
-    metrics["methods"]["deepgps"]["map"] = {"rms_m": 0.0028, "expected_rms_m": 0.0037}
-    metrics["in_use"] = {"samples": 40}
-    accept_some(metrics["methods"]["mine"].setdefault("in_use", {"rms_m": 0.05, "median_m": 0.02}))
-    said = [sentence for sentence in describe(metrics) if sentence not in before]
-    assert len(said) == 4
-    for part in (
-        "Accepted images (test positions): DeepGPS 98.1 % (99.4 %); mine 98.1 % (99.4 %).",
-        "Accepted images within their 68 % radius (95 %): DeepGPS 66 % (94 %); mine 66 % (94 %).",
-        "RMS error of 0.28 cm",
-        "of the deployment drive [cm]: mine 5.0 (2.0), of the 98.1 % accepted 1.1 (1.1).",
-    ):
-        assert part in " ".join(said)

@@ -30,13 +30,6 @@ def set_encoders(recording: Recording, **faults: object) -> Recording:
     return replace(recording, manifest=recording.manifest.model_copy(update={"settings": settings}))
 
 
-def test_sound_encoders_are_wrong_by_a_tick_at_most(drive: tuple[Recording, Truth]) -> None:
-    recording, truth = drive
-    length, error = measure_segments(recording, truth.pose)
-    assert len(length) == len(np.unique(recording.reading[:, 0]))
-    assert np.abs(error).max() <= TICK_M
-
-
 def test_distances_told_too_long_are_wrong_in_proportion(drive: tuple[Recording, Truth]) -> None:
     recording, truth = drive
     for factor in (0.9, 1.02):

@@ -105,12 +105,6 @@ def test_settings_of_a_finished_drive_cannot_be_changed(copied, tmp_path):
     assert read_files(copied) == before
 
 
-def test_another_scenario_is_still_refused(copied):
-    done = deepgps_here("run", *PLANE, "--seed", "7", "--out", "one", cwd=copied.parent)
-    assert done.returncode == 2
-    assert "holds a run of another scenario" in done.stderr
-
-
 @pytest.mark.parametrize(("command", "says"), [("train", "choose one"), ("view", "choose one"), ("evaluate", "one")])
 def test_a_folder_of_runs_lists_them(command, says, copied):
     done = deepgps_here(command, ".", cwd=copied.parent)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from deepgps.commands.machine import doctor_command
+from deepgps.commands.machine import DoctorArguments, doctor_command
 from sim.errors import WorkError
 from sim.tools import doctor
 from sim.tools.doctor import (
@@ -198,7 +198,7 @@ def test_command_prints_cures_with_their_brackets(monkeypatch, capsys):
     checks = [Check("extras", True, f"ray: {fix}"), Check("packages", False, "part is missing", fix)]
     monkeypatch.setattr(doctor, "check_all", lambda: checks)
     with pytest.raises(WorkError):
-        doctor_command(())
+        doctor_command(DoctorArguments())
     assert capsys.readouterr().out.count(fix) == 2
 
 

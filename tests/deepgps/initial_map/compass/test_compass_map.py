@@ -126,7 +126,7 @@ def test_loop_closures_straighten_a_path_whose_compass_errs(seed: int):
     made = drive(150, seed, noise=1.0)
     alone, refined = find_map(made, NONE), find_map(made)
     assert error(refined.places, made.place) < min(0.02, 0.4 * error(alone.places, made.place))
-    assert refined.inliers.mean() > 0.95 and not refined.undecided.any()
+    assert refined.stages[-1].inliers.mean() > 0.95 and not refined.undecided.any()
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -135,7 +135,7 @@ def test_false_loop_closures_that_the_covariance_excludes_change_nothing(seed: i
     first, second = rng.integers(0, len(made.place), (2, 600))
     false = np.linalg.norm(made.place[first] - made.place[second], axis=1) > 1.0
     found = find_map(made, add(made.closures, first[false], second[false], np.full(false.sum(), np.nan)))
-    assert not found.inliers[len(made.closures.first) :].any()
+    assert not found.stages[-1].inliers[len(made.closures.first) :].any()
     assert error(found.places, made.place) < 0.02
 
 
@@ -260,7 +260,7 @@ def test_the_map_of_a_drive_agrees_with_that_of_its_beginning_within_their_stand
 def test_in_a_long_drive_all_drifts_are_mended_one_after_another(segments: int):
     made = drive(segments, noise=1.0, gaps=0.1)
     found = find_map(made)
-    assert found.inliers.mean() > 0.99 and not found.undecided.any()
+    assert found.stages[-1].inliers.mean() > 0.99 and not found.undecided.any()
     assert error(found.places, made.place) < 0.02
 
 
@@ -328,7 +328,7 @@ def test_what_hangs_on_doubted_segments_alone_is_doubted(held: bool, doubted: li
 def test_in_a_world_that_repeats_a_good_path_decides_and_a_bad_one_says_that_it_cannot(seeds: range):
     made = repeat(drive(150, noise=0.3), shift_m=1.0)
     good = find_map(made)
-    assert good.repeats_m == pytest.approx(1.0, abs=0.1)
+    assert good.fit.inliers.repeats_m == pytest.approx(1.0, abs=0.1)
     assert good.undecided.mean() < 0.1 and error(good.places, made.place) < 0.05
     for seed in seeds:
         made = repeat(drive(150, seed, noise=3.0, gaps=0.3), shift_m=1.0)

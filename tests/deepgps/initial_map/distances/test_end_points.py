@@ -11,7 +11,7 @@ from deepgps.data.features import normalise
 from deepgps.data.segments import Segments, read_segments
 from deepgps.initial_map.distances import end_points
 from deepgps.initial_map.distances.end_points import (
-    _solve,
+    _descend,
     find_end_point_map,
     find_look_alikes,
     find_mixture,
@@ -114,5 +114,7 @@ def test_chunks_change_nothing(monkeypatch: pytest.MonkeyPatch):
 def test_steps_are_those_of_a_direct_solver():
     rng = np.random.default_rng(0)
     slope = rng.normal(size=(90, 40)) * (rng.uniform(size=(90, 40)) < 0.1)
-    normal, right = slope.T @ slope + 0.01 * np.eye(40), rng.normal(size=40)
-    np.testing.assert_allclose(_solve(csc_array(normal), right), np.linalg.solve(normal, right), rtol=1e-4)
+    weight, residual = rng.uniform(0.5, 2.0, 90), rng.normal(size=90)
+    direct = np.linalg.solve((slope.T * weight) @ slope + 0.01 * np.eye(40), (slope.T * weight) @ residual)
+    found = _descend(csc_array(slope), weight, residual, 0.01)
+    np.testing.assert_allclose(found, -direct.reshape(-1, 2), rtol=1e-4, atol=1e-6)

@@ -70,18 +70,6 @@ def test_the_camera_study_draws_nothing_again_for_faults_of_finished_images() ->
     assert len({drive.model_dump_json() for drive in drives.values()}) == 2 + len(plans) - len(finished)
 
 
-def test_each_change_is_trained_in_one_light_and_in_several_on_pixels_and_on_ranks() -> None:
-    plans = plan("change")
-    assert (len(plans), len({one.recording for one in plans})) == (11 * 2 * 2, 11 * 2)
-    titles = {title for titles in changes.WORST_FIGURES.values() for title in titles}
-    names = sorted({name for one in plans for name in one.varied})
-    usual = {"deployment.daylight": None, "deployment.exposure": "fixed", "deployment.moved_m": 0.0}
-    usual |= {"deployment.person": False, "deployment.lamp_on": False}
-    rows = [{**{name: usual.get(name, 1.0) for name in names}, **one.varied} for one in plans]
-    rows = [{**row, "method": "deepgps", **dict.fromkeys(("rms_m", "median_m", "p95_m", "max_m"), 0.1)} for row in rows]
-    assert titles < {row["change"] for row in changes.name_changes(rows, names)}
-
-
 def test_the_encoder_study_asks_of_every_fault_with_five_seeds_and_shares_five_drives_of_each_robot() -> None:
     plans = plan("encoder")
     asked = {name for one in plans for name in EncoderSettings.model_fields if name in str(dict(one.varied))}

@@ -1,67 +1,26 @@
 """The study of what a method knows of itself: its report from made-up drives, and the drives that it derives."""
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from deepgps.data.segments import find_runs
-from deepgps.studies.catalog import REPORTS
 from deepgps.studies.plan import plan_runs
-from deepgps.studies.reports.changes import DRIVES
 from deepgps.studies.reports.knowing import (
     EXPECTED_CAUSES,
     SPOILS,
     add_drives,
     find_expected,
     keep_segments,
-    make_drive,
     spoil_drive,
 )
 from deepgps.studies.study import load_study
-from deepgps.studies.table import Row
 from deepgps.tracking.causes import TITLES
 from sim.errors import InputError
 from sim.files.checksums import write_json
 from sim.recording.format import Recording, open_recording, open_truth
 from sim.recording.turns import KINDS, NO_IMAGE, check_turns
-from tests.helpers.reports import find_line, read_cells, report_rows
-
-LIGHT = "deployment.light"
-
-
-def make_row(light: float, *drives: dict) -> Row:
-    return {"method": "deepgps_compass", "flipped": 0.0, LIGHT: light, DRIVES: json.dumps(drives)} | dict.fromkeys(
-        ("rms_m", "median_m", "p95_m", "max_m"), 0.1
-    )
-
-
-def tell(fault: str, expected: str, accepted: float, named: list[str], **shares: float) -> dict:
-    causes = {"named": named, "shares": shares, "refused": shares, "lean_deg": None, "gain": None}
-    return make_drive(fault, expected, accepted, causes, {"large_refused": 0.5} if expected == "furniture" else {})
-
-
-ROWS = [
-    make_row(
-        1.0,
-        tell("", "", 0.98, [], furniture=0.02),
-        tell("lens covered", "covered", 0.0, ["covered"], covered=1.0),
-        tell("another room", "other_room", 0.01, ["other_room"], other_room=0.96, new_place=0.04),
-    ),
-    make_row(0.2, tell("", "light", 0.9, ["furniture"], furniture=0.06, light=0.04)),
-]
-
-
-def test_each_drive_has_a_line_with_what_is_refused_and_named_and_figures_count_the_right_causes():
-    text, figures = report_rows("knowing", ROWS, [LIGHT])
-    assert text.startswith("## DeepGPS, compass, features of ranks, one room\n")
-    assert [line[0] for line in read_cells(text)] == ["no change", "lens covered", "another room", "all light x 0.2"]
-    assert find_line(text, "all light x 0.2")[:2] == ["10.0", TITLES["furniture"]]
-    values = {name: figure.value for name, figure in figures.items()}
-    right = {"drives_right": 2 / 3, "images_right": (1.0 + 0.96 + 0.4) / 3, "clean_refused": 0.02}
-    assert values == pytest.approx(right | {"other_room_refused": 0.99, "covered_refused": 1.0})
-    assert {target.name for target in REPORTS["knowing"].targets} == set(values) | {"moved_refused"}
 
 
 @pytest.mark.parametrize("more", [{}, {"in_use": {"rms_m": 0.1, "median_m": 0.1}}])

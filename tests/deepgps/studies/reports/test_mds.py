@@ -9,15 +9,11 @@ from scipy.spatial.distance import pdist, squareform
 from deepgps.config.learning import LearnSettings
 from deepgps.methods.fit import fit_method
 from deepgps.reports.plots import to_png
-from deepgps.studies.plan import plan_runs
 from deepgps.studies.reports.mds import add_distances, are_joined, draw, find_distances, scale_all
-from deepgps.studies.study import load_study
-from deepgps.studies.table import Row
 from deepgps.terminal.progress import ignore
 from sim.alignment import fit_alignment
 from sim.errors import InputError
 from sim.geometry import FreeSpace
-from tests.helpers.reports import find_line, report_rows
 from tests.helpers.toy import QUICK, make_toy
 
 VARIED = ["learn.start"]
@@ -62,23 +58,6 @@ def test_a_network_of_two_outputs_is_its_own_map(finished_run: Path):
         find_distances(finished_run, "knn")
 
 
-def make_distances(start: str, outputs: int, **columns: float) -> Row:
-    found = {"planar": 1.0, "own_m": 0.02, "mds_m": 0.02, "mds_own_m": 1e-7, "joined_m": 0.01, "unjoined_m": 0.03}
-    return {"method": "deepgps", "learn.start": start, "flipped": 0.0, "fold_found": False, "outputs": outputs} | {
-        **found,
-        **columns,
-    }
-
-
-def test_maps_of_more_outputs_are_compared_with_those_of_two():
-    rows = [make_distances("paths", 2), make_distances("lifting", 8, planar=0.9, mds_m=0.05)]
-    text, figures = report_rows("mds", rows, VARIED)
-    assert {name: figure.value for name, figure in figures.items()} == pytest.approx(
-        {"apart": 1e-7, "not_joined_ratio": 3.0, "planar": 0.9, "mds_ratio": 2.5}
-    )
-    assert find_line(text, "lifting", "DeepGPS")[:3] == ["1", "8", "90.0"]
-
-
 @pytest.mark.slow
 def test_a_network_of_more_outputs_learns_distances_that_nearly_lie_in_a_plane(tmp_path: Path):
     rows = []
@@ -96,10 +75,3 @@ def test_a_network_of_more_outputs_learns_distances_that_nearly_lie_in_a_plane(t
     assert space.dimensions == 4 and 0.8 < space.planar < 1.0
     assert np.median(np.linalg.norm(space.scaled - space.truth, axis=1)) < 0.2
     assert to_png(draw(rows, VARIED, tmp_path)).startswith(b"\x89PNG")
-
-
-def test_the_study_asks_with_two_outputs_and_with_more():
-    plans = plan_runs(load_study("mds", tiny=False))
-    ways = {(plan.scenario.learn.start, plan.scenario.learn.network.layers) for plan in plans}
-    assert ways == {(start, layers) for start in ("lifting", "random") for layers in (3, 6)} | {("paths", 3)}
-    assert {plan.scenario.learn.lift.penalty for plan in plans} == {0.0}

@@ -21,8 +21,6 @@ from sim.files.checksums import read_json
 from tests.helpers.blueprints import read_error_field
 
 SHORT_TRAINING = ("learn.train.steps=20", "learn.train.segments=4", "learn.network.width=16", "learn.fold.restarts=0")
-LANDMARKS = ("landmarks.count=40", "landmarks.segments=25", "landmarks.reach_m=1.2", "drive.spacing_m=0.05")
-EXPLICIT = ("grid.spacing_m=0.25", "learn.explicit.readings=200", "learn.explicit.evaluations=20")
 LIDAR = ("lidar.rays=32", "lidar.headings=2", "drive.samples=400", "grid.spacing_m=0.25", "grid.headings=2")
 FEATURES = ("learn.features.rings=4", "learn.features.principal=32", "learn.features.components=16")
 PCA = ("learn.pca.headings=5",)
@@ -45,18 +43,6 @@ def test_methods_and_settings_are_refused_in_worlds_without_what_they_need():
         with pytest.raises(InputError, match=field):
             load_scenario(world, settings)
     assert load_scenario("living_room", {"methods": ["pca_knn"], "sensor": "lidar"}).sensor == "lidar"
-
-
-@pytest.mark.slow
-def test_every_method_of_landmarks_runs_to_the_viewer(tmp_path: Path):
-    methods = ["deepgps", "posenet", "dead_reckoned_labels", "knn", "explicit", "explicit_mds"]
-    folder = make_small("landmarks", methods, tmp_path / "run", *LANDMARKS, *EXPLICIT)
-    with np.load(folder / "error_field.npz") as field:
-        for method in methods:
-            shown = read_error_field(folder / VIEWED, method)
-            assert np.allclose(shown.predicted, field[method][:, 0], atol=1e-5)
-        assert np.abs(field["explicit_mds"][:, 0] - field["truth"]).max() < 1e-3
-    assert (folder / "figures" / "error_fields.png").is_file()
 
 
 @pytest.mark.slow

@@ -11,11 +11,10 @@ from deepgps.reports.plots import to_png
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.reports import changes, compare, encoder, explore, maps, paper
 from deepgps.studies.reports.diagnose import QUANTITIES
-from deepgps.studies.reports.encoder import FAULTLESS_VALUES, find_strongest, find_sweeps
+from deepgps.studies.reports.encoder import FAULTLESS_VALUES, find_sweeps
 from deepgps.studies.reports.explore import HEADINGS, KIND, SEED, UNTIL, compare_with_explore
 from deepgps.studies.reports.pictures import draw
 from deepgps.studies.reports.render import prepare
-from deepgps.studies.reports.report import varied_names, write_report
 from deepgps.studies.study import load_study
 from deepgps.studies.table import Row, split_by
 from tests.helpers.reports import find_line, read_cells, report_rows, values_of
@@ -29,37 +28,7 @@ def make_row(rms: float, method: str = "deepgps", **columns: object) -> Row:
     return {"method": method, "seed": 0, "flipped": 0.0, "fold_found": found, "scale": 1.0, **errors, **columns}
 
 
-# --- compare, strategies, networks
-
-FOLLOWS = ["learn.start", "learn.train.segments"]
-VARIED = ["drive.strategy", "drive.samples", *FOLLOWS, "room.seed", "seed"]
-
-
-def drive(strategy: str, samples: int, rms: float, distance: float, room: int, method: str = "deepgps") -> Row:
-    choice = {"drive.strategy": strategy, "drive.samples": samples, "room.seed": room, "distance_m": distance}
-    choice |= dict(zip(FOLLOWS, ("paths", 16) if strategy == "dense" else ("ends", 128), strict=True))
-    return make_row(rms, method, samples=samples, train_s=10.0, **choice)
-
-
-STRATEGIES = [
-    drive("dense", 1500, 0.02, 100.0, 0),
-    drive("dense", 1500, 0.04, 120.0, 20),
-    drive("dense", 1500, 0.01, 100.0, 0, "posenet"),
-    drive("endpoint", 80, 0.90, 105.0, 0) | {"flipped": 0.3, "fold_found": True},
-    drive("endpoint", 80, 0.60, 115.0, 20) | {"flipped": 0.2},
-    drive("endpoint", 1500, 0.06, 2200.0, 0),
-]
-
-
-def test_rooms_and_seeds_repeat_and_all_else_is_compared() -> None:
-    text, figures = report_rows("strategies", STRATEGIES, VARIED)
-    dense = find_line(text, "dense", "1500", "paths", "16", "DeepGPS")
-    assert dense == ["2", "1500", "110", "3.00", "1.50", "6.00", "30.0", "4.00", "0", "0", "10.0"]
-    assert find_line(text, "endpoint", "80", "ends", "128", "DeepGPS")[-3:-1] == ["2", "1"]
-    assert find_line(text, "dense", "1500", "paths", "16", "PoseNet")[-3:-1] == ["0", "-"]
-    values = {name: figure.value for name, figure in figures.items()}
-    assert values == pytest.approx({"travel_ratio": 25.0, "samples_ratio": 2.0, "way_ratio": 20.0})
-
+# --- compare
 
 SLIP = "encoder.slip_per_m"
 CASES = [("none", 0.0, 0.02), ("carpet", 0.02, 0.03), ("rug", 0.05, 0.09)]
@@ -120,18 +89,6 @@ def make_line(*rms: float) -> list[Row]:
     return make_curves({("living_room", "deepgps"): line}, "drive.samples")
 
 
-def test_targets_are_judged_at_the_highest_value_in_the_worst_case() -> None:
-    _, figures = report_rows("curves", NOISE, ["scenario", "encoder.step_noise", "seed"])
-    figures = {name.removeprefix("deepgps_"): figure for name, figure in figures.items()}
-    assert (figures["relative_rms"].value, figures["relative_rms"].worst) == pytest.approx((0.02, 0.025))
-    assert (figures["relative_median"].value, figures["rms_m"].value) == pytest.approx((0.01, 0.04))
-    assert "knee" not in figures  # what rises has none
-    text = write_report(load_study("noise_w", tiny=False), [], {}, NOISE)
-    line = find_line(text, "DeepGPS, RMS / side at encoder.step_noise 0.1")
-    assert line == ["2.0 %", "-", "2.5 %", "<= 2.0 %", "met", "2.0 %"]
-    assert find_line(text, "landmarks", "0.1", "DeepGPS")[:3] == ["2", "100", "0.500"]
-
-
 def test_the_knee_is_where_the_line_becomes_flat_and_the_paper_has_one_value() -> None:
     text, figures = report_rows("curves", make_line(0.2, 0.08, 0.049, 0.04), ["drive.samples"])
     assert figures["deepgps_knee"].value == 4000
@@ -175,22 +132,6 @@ def test_curves_run_through_the_means_and_bands_from_best_to_worst() -> None:
 # --- rooms, corridors
 
 
-def test_targets_are_met_or_missed_by_the_mean_of_the_rooms_and_wins_are_counted() -> None:
-    study = load_study("precision", tiny=False)
-    common = {"train_s": 80.0, "relative_rms": 0.01, "seen": 1.0, "failure": None, "median_m": 0.007, "max_m": 0.3}
-    rows = [
-        make_row(rms, method, run=str(room), recording=str(room), **common, **dict.fromkeys(varied_names(study), room))
-        for room, errors in enumerate(((0.01, 0.02), (0.03, 0.02)))
-        for method, rms in zip(("deepgps", "posenet"), errors, strict=True)
-    ]
-    text = write_report(study, [], {}, rows)
-    assert find_line(text, "DeepGPS, RMS") == ["2.0 cm", "-", "3.0 cm", "<= 2.0 cm", "met", "10.1 cm"]
-    assert find_line(text, "DeepGPS, max")[:5] == ["30.0 cm", "-", "30.0 cm", "<= 20.0 cm", "missed"]
-    assert find_line(text, "DeepGPS, RMS / PoseNet's RMS")[:5] == ["1.00", "-", "1.50", "<= 1.05", "met"]
-    assert find_line(text, "DeepGPS, rooms with RMS below PoseNet's")[0] == "50.0 %"
-    assert "Of 2 rooms, DeepGPS has lower errors than PoseNet in 1 by RMS (p = 1), 0 by median (p = 1)" in text
-
-
 def test_wrong_maps_are_counted_by_what_is_said_of_them() -> None:
     own = {"misplaced": 0.02, "undecided": None, "turned": 0.0, "seen": 0.9, maps.NOISE: 0.0}
     noisy = {**own, "misplaced": 0.6, maps.NOISE: 0.3}
@@ -227,22 +168,6 @@ def make_fault(
 FAULTY_RUNS = [make_fault(0.04, light=0.5), make_fault(0.02), make_fault(0.03, exposure=0.25), make_fault(0.05, 0.25)]
 
 
-def test_each_fault_stands_beside_none_and_those_in_deployment_alone_come_last() -> None:
-    text, figures = report_rows("camera", FAULTY_RUNS, FAULTS)
-    both, use = "training and deployment", "deployment only"
-    assert [line[0] for line in read_cells(text)] == ["no fault", "exposure x 0.25", "all light x 0.5"]
-    for first, expected in (
-        (("no fault", both), ["1", "2.00", "1.00"]),
-        (("exposure x 0.25", both), ["2", "4.00", "2.00"]),
-        (("all light x 0.5", use), ["1", "4.00", "2.00"]),
-    ):
-        line = find_line(text, *first, "DeepGPS")
-        assert [line[0], line[1], line[5]] == expected
-    assert figures["clean_rms_m"].value == 0.02
-    values = figures["both_rms_ratio"].value, figures["deployment_median_ratio"].value
-    assert values == pytest.approx((2.0, 2.0))
-
-
 def test_without_a_run_without_faults_there_is_nothing_to_compare_with() -> None:
     text, figures = report_rows("camera", FAULTY_RUNS[:1], FAULTS)
     assert figures == {}
@@ -276,27 +201,10 @@ def test_a_study_of_changes_on_one_kind_of_features_needs_not_vary_it() -> None:
 # --- maps
 
 
-def test_methods_without_a_map_by_compass_are_left_out() -> None:
-    ours = {"map_rms_m": 0.02, "map_expected_rms_m": 0.01, "map_nees": 1.5, "map_flipped_m2": 0.2}
-    row = make_row(0.1, "deepgps_compass", **ours, **{maps.NOISE: 0.1})
-    other = make_row(0.1, "deepgps", **dict.fromkeys(ours), **{maps.NOISE: 0.1})
-    assert report_rows("maps", [row, other], [maps.NOISE]) == report_rows("maps", [row], [maps.NOISE])
-    assert values_of("maps", [row]) == {"mirrored": 1, "rms_m w 0.1": 0.02, "nees w 0.1": 1.5}
-
-
 def reaching(method: str, shape: str, little: float, rest: float) -> Row:
     """10 positions that reach little of the room, 90 that reach much, and the error of each [m]."""
     errors = {f"errors_{part}_m": {0: [little] * 10, 4: [rest] * 90}.get(part, []) for part in range(maps.BINS)}
     return make_row(rest, method, **{"room.shape": shape}, **errors)
-
-
-def test_errors_by_reach_are_those_of_all_positions_put_together() -> None:
-    rows = [reaching("deepgps", "l", 0.3, 0.1), reaching("deepgps", "u", 0.2, 0.1)]
-    assert sorted(maps.pool(rows)) == pytest.approx([0.1] * 180 + [0.2] * 10 + [0.3] * 10)
-    assert maps.pool(rows, [0]).tolist() == [0.3] * 10 + [0.2] * 10
-    text, _ = report_rows("concave", rows, ["room.shape"])
-    assert find_line(text, "0-10 %", "DeepGPS") == ["20", f"{100 * np.sqrt((0.09 + 0.04) / 2):.1f}", "25.0"]
-    assert find_line(text, "40-50 %", "DeepGPS")[0] == "180"
 
 
 def test_what_little_reach_costs_is_told_for_each_method_where_there_is_any() -> None:
@@ -365,35 +273,6 @@ def test_faults_are_told_apart_from_pairs_of_them_and_grow_from_none() -> None:
     assert [len(values) for sweep, values in list_values(real).items() if sweep.startswith("a small real robot")] == [2]
     either_sign = make_sweeps({((LEFT_RADIUS, error),): 0.01 for error in (-0.1, 0.0, 0.02)})
     assert list_values(either_sign) == {"error of one wheel's radius": [0.0, 0.02, -0.1]}
-
-
-def test_the_page_says_which_encoder_is_enough() -> None:
-    def choose(rows: list[Row], near: float) -> dict[str, list[str]]:
-        sweeps = split_by([row for row in find_sweeps(rows, []) if row.get("near") == near], "sweep")
-        return {sweep: [row["strongest"] for row in some] for sweep, some in sweeps.items()}
-
-    enough = choose(SWEEPS, 0.02)
-    assert enough["ticks per revolution"] == ["16", "all, to 4"]
-    assert enough["noise w of each gap"] == ["none tolerated", "all, to 0.1"]
-    assert choose(SWEEPS, 0.05)["noise w of each gap"] == ["all, to 0.1", "all, to 0.1"]
-    one_bad_place = [{**row, "seed": 2, "rms_m": 1.0} for row in SWEEPS if row["seed"] == 0]
-    assert choose([*SWEEPS, *one_bad_place], 0.02) == enough
-    worse = [{**row, "value": 0, "within_2_cm": row["within_2_cm"] - 0.2} for row in SWEEPS]
-    assert find_strongest(0.02, worse, fewer_is_worse=False) == "none is enough"
-    assert find_line(report_rows("encoder", SWEEPS)[0], "ticks per revolution", "16") == ["all, to 4"]
-
-
-def test_what_its_map_expects_and_what_is_good_enough_are_drawn() -> None:
-    rows = [{**row, "map_expected_rms_m": row["rms_m"] / 2 if row["method"] == "deepgps" else None} for row in SWEEPS]
-    errors, near = (
-        draw(picture, find_sweeps(rows, []), [], Path()).axes[0] for picture in (encoder._ERRORS, encoder._GOOD_SHARES)
-    )
-    lines = {str(line.get_label()): np.asarray(line.get_ydata(), float) for line in errors.lines}
-    np.testing.assert_allclose(lines["DeepGPS, expected by its map"], lines["DeepGPS"] / 2)
-    assert not any("compass, expected" in label for label in lines)
-    lines = {str(line.get_label()): np.asarray(line.get_ydata(), float).tolist() for line in near.lines}
-    assert near.get_ylim() == (0, 100)
-    assert (lines["DeepGPS"], lines["good enough"]) == (pytest.approx([90, 89.5, 89, 70]), pytest.approx([80] * 4))
 
 
 # --- the paper
