@@ -17,12 +17,13 @@ STOP_AT_M, ARRIVAL_M = 0.03, 0.05  # It stops this near to its goal, and has arr
 REACH_M = 0.5  # How far ahead it looks with its ranges [m]
 STOP_M = 0.03  # It stops this far before what its ranges see [m]
 BLOCK_M = 0.1  # Its middle keeps this far from what blocked it twice, or what it touched [m]
+FAN_RAD, NEAR_M = (0.0, -0.4, 0.4, -0.8, 0.8), 0.2  # It then looks for more so near, to its sides too [rad], [m]
 AGAIN_M = 0.15  # It is blocked again if its middle is nearer than this to where it was blocked [m]
 SLOW_MPS, ROLL_BACK_M = 0.08, 0.08  # How fast it rolls back from a contact or goes off, and how far back [m/s], [m]
 REST_S = 0.2  # How long it rests before a look at rest [s]
 LOOKS, LOOK_RAD = 9, 0.8  # So many looks it takes, turned by so much each, to find where it is [rad]
 PLACES, AWAY_M = 3, 0.4  # It looks around at so many places, each so far from the one before [m]
-MAX_PLANS = 12  # So often it plans
+MAX_PLANS = 30  # So often it plans
 PATIENCE_S, PATIENCE_FACTOR = 60.0, 6.0  # A goal is refused after so long, and so many times what driving takes [s]
 RADIUS_M = 0.105  # Radius of the testbed's own robot [m]
 CRUISE_MPS = 0.2  # Speed by which it knows how long driving takes [m/s]
@@ -119,10 +120,12 @@ class Navigator:
             command = follower.step(pose, free_m, self._period_s)
             if self._now.bumped or (free_m <= 0.01 and abs(aside) < AIM_RAD):
                 again = any(np.linalg.norm(place - pose[:2]) < AGAIN_M for place in self._blocked)
-                if self._now.bumped or again:  # something stands before the robot's rim
-                    ahead_m = self._radius_m + (0.0 if self._now.bumped else clear_m(0.0))
-                    there = pose[:2] + ahead_m * np.array([np.cos(pose[2]), np.sin(pose[2])])
-                    self._clear = self._clear.block(there, BLOCK_M)
+                for angle in FAN_RAD if again else FAN_RAD[: int(self._now.bumped)]:
+                    ahead_m = 0.0 if self._now.bumped and not angle else clear_m(angle)
+                    if ahead_m < NEAR_M:  # something stands before the robot's rim
+                        heading = pose[2] + self.source.hand * angle
+                        there = (self._radius_m + ahead_m) * np.array([np.cos(heading), np.sin(heading)])
+                        self._clear = self._clear.block(pose[:2] + there, BLOCK_M)
                 self._blocked.append(pose[:2])
                 return (yield from self._keep(Command(-SLOW_MPS, 0.0), ROLL_BACK_M / SLOW_MPS))
             yield command
