@@ -17,7 +17,7 @@ STOP_AT_M, ARRIVAL_M = 0.03, 0.05  # It stops this near to its goal, and has arr
 REACH_M = 0.5  # How far ahead it looks with its ranges [m]
 STOP_M = 0.03  # It stops this far before what its ranges see [m]
 BLOCK_M = 0.1  # Its middle keeps this far from what blocked it twice, or what it touched [m]
-FAN_RAD, NEAR_M = (0.0, -0.4, 0.4, -0.8, 0.8), 0.2  # It then looks for more so near, to its sides too [rad], [m]
+FAN_RAD, FAN_M = (0.0, -0.4, 0.4, -0.8, 0.8), 0.2  # It then looks for more so near, to its sides too [rad], [m]
 AGAIN_M = 0.15  # It is blocked again if its middle is nearer than this to where it was blocked [m]
 SLOW_MPS, ROLL_BACK_M = 0.08, 0.08  # How fast it rolls back from a contact or goes off, and how far back [m/s], [m]
 REST_S = 0.2  # How long it rests before a look at rest [s]
@@ -122,7 +122,7 @@ class Navigator:
                 again = any(np.linalg.norm(place - pose[:2]) < AGAIN_M for place in self._blocked)
                 for angle in FAN_RAD if again else FAN_RAD[: int(self._now.bumped)]:
                     ahead_m = 0.0 if self._now.bumped and not angle else clear_m(angle)
-                    if ahead_m < NEAR_M:  # something stands before the robot's rim
+                    if ahead_m < FAN_M:  # something stands before the robot's rim
                         heading = pose[2] + self.source.hand * angle
                         there = (self._radius_m + ahead_m) * np.array([np.cos(heading), np.sin(heading)])
                         self._clear = self._clear.block(pose[:2] + there, BLOCK_M)
