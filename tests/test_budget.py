@@ -5,7 +5,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "lines of sim and deepgps": 43_168,
+    "lines of sim and deepgps": 43_172,
     "files of sim and deepgps": 303,
     "lines of tests": 29_704,
     "Python files directly in deepgps": 2,

@@ -25,7 +25,7 @@ class ViewArguments:
     """Files of plugins, whose methods then have their titles and colours."""
     screenshot: Path | None = None
     """Write a picture of a tab as PNG instead of opening a window; needs a Vulkan driver, but no display."""
-    tab: str | None = None
+    tab: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
     """The tab of which --screenshot writes a picture, by its name; none: the first."""
 
 

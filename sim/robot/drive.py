@@ -45,7 +45,7 @@ UNCERTAIN_DISTANCE_M = 0.12
 """A contact or stall makes the samples over this last distance travelled doubtful: they are dropped [m]."""
 STALL_S = 0.2  # Wheels that turn at less than half the commanded speed for this long are blocked [s]
 SLIP_M = 0.10  # The wheels slip if they roll this far while what is ahead comes no nearer [m]
-TRIES = 500
+TRIES, CARRY_TRIES = 500, 100  # Most attempts to drive straight, and those after which the robot is carried
 MAX_ESCAPES = 20
 """When the robot is wedged between two legs, its wheels slip and a full turn barely turns it. It rolls back and tries
 again at most this many times before it is relocated to the start, as if a person carried it."""
@@ -91,7 +91,11 @@ def next_segment(
     """
     wedged = relocated = dropped = 0
     after_arc = False
-    for _ in range(TRIES):
+    for tries in range(TRIES):
+        if tries == CARRY_TRIES and not relocated:  # what holds it, its ranges do not see
+            robot.carry(rng)
+            planner.forget()
+            mode, relocated = mode._replace(continues=False), 1
         while (course := turn_to_clear(robot, settings, rng, mode, planner)) is None:
             mode = mode._replace(continues=False)
             wedged += 1

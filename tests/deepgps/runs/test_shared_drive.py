@@ -125,7 +125,7 @@ def test_a_changed_room_of_the_users_own_is_another_drive(tmp_path, monkeypatch)
 def test_the_store_is_measured_and_emptied_and_the_runs_stay(tmp_path):
     recording = collect("landmarks", *SMALL_DRIVE, home=tmp_path)
     (tmp_path / "runs" / "drives" / "mine.txt").touch()
-    assert "runs/drives: drives that later runs share" in deepgps_here("runs", cwd=tmp_path).stdout
+    assert "in runs/drives, which later runs share" in deepgps_here("runs", cwd=tmp_path).stdout
     assert deepgps_here("runs", "--empty-drives", cwd=tmp_path).returncode == 0
     assert [path.name for path in (tmp_path / "runs" / "drives").rglob("*")] == ["mine.txt"]
     check_recording(recording)
