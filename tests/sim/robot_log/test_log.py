@@ -156,7 +156,8 @@ def write(settings: SimSettings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     """Writes the log of a toy of the drive into a folder and returns its path."""
     monkeypatch.setattr(writing, "TracedWorld", make_toy_world)
     monkeypatch.setattr(writing, "trace_drive", trace_toy)
-    monkeypatch.setattr(writing, "open_truth", lambda _: SimpleNamespace(wheel_angle=np.zeros((2, 2)), pose=np.zeros((2, 3))))
+    truth = SimpleNamespace(wheel_angle=np.zeros((2, 2)), pose=np.zeros((2, 3)))
+    monkeypatch.setattr(writing, "open_truth", lambda _: truth)
     monkeypatch.setattr(writing, "open_camera", lambda _: lambda state, _: (1e3 * state[:3]).astype(np.uint8))
 
     def write(name: str, key: str = "key", progress: Callable[..., None] = quiet, **changes: Any) -> Path:
