@@ -101,10 +101,10 @@ def measure(folder: Path) -> None:
         data, mapped, record = stage(
             "map", lambda: map_by_compass(recording, scenario.learn, scenario.seed, place, ignore)
         )
-        start, places, mount = time.perf_counter(), keep_chosen(mapped), find_mount(mapped)
+        places, mount = keep_chosen(mapped), find_mount(mapped)
         fitted = stage(
             "registration",
-            lambda: finish(data, places, mapped.heading, start, ignore, place, mapped.std, mount).note(record),
+            lambda: finish(data, places, mapped.heading, ignore, place, mapped.std, mount).note(record),
         )
         save_positioner(place, *fitted)
     metrics = evaluate(scenario, folder, ignore)

@@ -7,7 +7,7 @@ ROOT = Path(__file__).parents[1]
 LIMITS = {
     "lines of sim and deepgps": 43_172,
     "files of sim and deepgps": 303,
-    "lines of tests": 29_705,
+    "lines of tests": 29_706,
     "Python files directly in deepgps": 2,
     "words of decisions": 6_842,
     "words of all other pages by hand": 21_668,

@@ -1,5 +1,6 @@
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -47,7 +48,7 @@ def test_a_stuck_encoder_is_counted_and_found(folder: Path):
 def test_a_robot_with_a_map_says_what_it_has_seen_and_how_well_it_knows_its_place(folder: Path):
     recording = open_recording(folder)
     assert "explore" not in describe_drive(recording)
-    settings = {"drive": {"until": {"unseen": 0.005}}}
+    settings: dict[str, Any] = {"drive": {"until": {"unseen": 0.005}}}
     about = recording.manifest.model_copy(update={"unseen": [0.004, 0.001, 0.009], "settings": settings})
     methods = {"registration_labels": {"left_out_m": 0.002}, "registration": {"left_out_m": 0.011}}
     found = describe_drive(replace(recording, manifest=about), methods)

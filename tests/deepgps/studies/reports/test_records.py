@@ -37,7 +37,7 @@ CASES = [("none", 0.0, 0.02), ("carpet", 0.02, 0.03), ("rug", 0.05, 0.09)]
 @given(st.lists(st.floats(-0.01, 0.01), min_size=2, max_size=6))
 def test_cases_are_compared_with_the_first_one_of_the_same_seed_and_ranked(luck: list[float]) -> None:
     rows = [
-        make_row(rms + one, rms_accepted_m=rms + one, case=name, **{SLIP: slip}) | {"seed": seed}
+        make_row(rms + one, rms_accepted_m=rms + one, case=name) | {SLIP: slip, "seed": seed}
         for name, slip, rms in CASES
         for seed, one in enumerate(luck)
     ]
