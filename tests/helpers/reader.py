@@ -24,7 +24,7 @@ SMALL_OVERRIDES = ("--drive.samples", "60", "--learn.train.steps", "20", "--lear
 """Settings of runs with settings of their own, which cannot be copies of the finished run."""
 DEPLOYMENT_OPTION = "--deployment.drive-samples"
 """The length of a deployment drive, which becomes a small one."""
-SMALL_STUDY = {"noise_w": ("noise_w", "--tiny"), "my_study.yaml": ("small_study.yaml",)}
+SMALL_STUDY = {"carpet": ("carpet", "--tiny"), "noise_w": ("noise_w", "--tiny"), "my_study.yaml": ("small_study.yaml",)}
 """The study that a long one becomes."""
 TESTED_ELSEWHERE = {
     "deepgps locate runs/mine drive.mcap --config robot.yaml --track": ("tests/deepgps/robot_io/test_log_source.py"),
