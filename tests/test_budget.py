@@ -10,7 +10,7 @@ LIMITS = {
     "lines of tests": 29_706,
     "Python files directly in deepgps": 2,
     "words of decisions": 6_880,
-    "words of all other pages by hand": 21_713,
+    "words of all other pages by hand": 21_714,
     "words of the reference that the code does not say": 3_522,
     "words of published results": 8_000,
 }
