@@ -22,15 +22,14 @@ PARTS = (0.1, 0.3, 1.0)  # Parts of the drive that are shown
 def draw_drive(truth: Truth) -> Figure:
     """The floor within reach, what parts of the drive have seen of it, and their way, later images lighter."""
     figure, space, place = Figure(figsize=(13, 4.6), layout="constrained"), truth.free_space, truth.pose[:, :2]
-    cells = np.argwhere(space.reachable)
-    floor = space.origin + cells[:, ::-1] * space.cell_m
+    floor = space.places()
     ends = np.array(space.reachable.shape[::-1]) * space.cell_m
     extent = (space.origin[0], space.origin[0] + ends[0], space.origin[1], space.origin[1] + ends[1])
     low, high = floor.min(axis=0) - 0.4, floor.max(axis=0) + 0.4
     for axes, part in zip(figure.subplots(1, len(PARTS)), PARTS, strict=True):
         so_far = place[: round(part * len(place))]
         seen, picture = find_seen(floor, so_far), np.ones((*space.reachable.shape, 3))
-        picture[tuple(cells.T)] = np.where(seen[:, None], (0.86, 0.92, 0.86), (0.96, 0.72, 0.62))
+        picture[space.reachable] = np.where(seen[:, None], (0.86, 0.92, 0.86), (0.96, 0.72, 0.62))
         axes.imshow(picture, origin="lower", extent=extent)
         axes.scatter(*so_far.T, s=1.2, c=np.arange(len(so_far)), cmap="viridis", linewidths=0)
         axes.set_title(f"{len(so_far):,} images: {100 * (1 - seen.mean()):.1f} % unseen", fontsize=12)

@@ -40,8 +40,7 @@ def draw_frames(
     )
     plan, seen = figure.subplots(1, 2, width_ratios=(2.6, 1.0))
     figure.subplots_adjust(0.01, 0.01, 0.99, 0.93, wspace=0.03)
-    cells, warp = np.argwhere(space.reachable), make_warp(camera, camera.rings, camera.sectors, ROUND_PX)
-    floor = space.origin + cells[:, ::-1] * space.cell_m
+    floor, warp = space.places(), make_warp(camera, camera.rings, camera.sectors, ROUND_PX)
     size = np.array(space.reachable.shape[::-1]) * space.cell_m
     extent = (space.origin[0], space.origin[0] + size[0], space.origin[1], space.origin[1] + size[1])
     (low_x, low_y), (high_x, high_y) = floor.min(axis=0) - 0.3, floor.max(axis=0) + 0.3
@@ -50,7 +49,8 @@ def draw_frames(
         own, route = world.apply(log["estimated"][rows, :2]), world.apply(log["route"][log["route_goal"] == number])
         true, goal = log["true"][rows], world.apply(log["goal"][number])
         for at in (*range(0, len(rows), STEPS), len(rows) - 1):
-            plan.clear(), seen.clear()
+            plan.clear()
+            seen.clear()
             plan.imshow(
                 np.where(space.reachable, 1.0, 0.72), cmap="gray", vmin=0, vmax=1, origin="lower", extent=extent
             )

@@ -166,8 +166,7 @@ def _draw_yaws(
 
 def log_coverage(stream: rr.RecordingStream, place: np.ndarray, space: FreeSpace) -> None:
     """Log the floor too far from every training image, and how many of them, at places (n, 2) [m], each cell has."""
-    row, column = np.nonzero(space.reachable)
-    floor = space.origin + np.stack([column, row], axis=1) * space.cell_m
+    floor = space.places()
     unseen = floor[~find_seen(floor, place)]
     put(stream, COVERAGE, _make_tiles(unseen, space.cell_m, 2 * LAYER_M, np.array([UNSEEN_COLOUR], np.uint8)))
     cell, count = np.unique(np.floor(place / CELL_M).astype(int), axis=0, return_counts=True)

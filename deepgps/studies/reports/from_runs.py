@@ -106,7 +106,7 @@ def add_explored(run: Path, row: Row) -> Row:
     """Columns for the images until the floor is seen, and the share unseen at the end, by the robot's map and truly."""
     manifest, truth = read_manifest(run / "recording"), open_truth(run / "recording")
     space, said = truth.free_space, (manifest.model_extra or {}).get("unseen", (None, None, None))
-    floor = space.origin + np.argwhere(space.reachable)[::FLOOR_STRIDE, ::-1] * space.cell_m
+    floor = space.places()[::FLOOR_STRIDE]
     near = KDTree(truth.pose[:, :2]).query_ball_point(floor, SEEN_RADIUS_M)
     first = np.sort([min(images, default=np.inf) for images in near])
     last = float(first[math.ceil((1 - DONE_SHARE) * len(first)) - 1])
