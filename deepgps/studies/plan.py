@@ -75,13 +75,14 @@ def _make_planner(study: Study) -> Callable[[int, Point], Plan]:
         except InputError as error:
             return error
 
-    def plan(seed: int, varied: Point) -> Plan:
-        settings = {name: value for name, value in varied.items() if name not in {"scenario", CASE}}
+    def plan(seed: int, point: Point) -> Plan:
+        varied = {name: value for name, value in point.items() if name != "methods"}
+        settings = {name: value for name, value in point.items() if name not in {"scenario", CASE}}
         found = read(varied.get("scenario", study.scenario))
         if isinstance(found, InputError):
             raise found
         path, values = found
-        scenario = override_scenario(values, path, {**study.set, **flatten(settings), **methods, "seed": seed})
+        scenario = override_scenario(values, path, {**study.set, **methods, **flatten(settings), "seed": seed})
         _check_report_of(study.report, scenario)
         return Plan(scenario, varied, digest(scenario, room), digest_recording(scenario, room))
 

@@ -32,8 +32,8 @@ class Variation(Group):
     set: Point = Field(default_factory=dict)
     """Settings by dotted name, the same for all runs; a group given as a mapping sets those that it names."""
     cases: tuple[Point, ...] = Field(default=({},), min_length=1)
-    """Explicit combinations of settings by dotted name; ``scenario`` names a scenario other than the study's own, and
-    ``case`` gives the combination a name."""
+    """Explicit combinations of settings by dotted name; ``scenario`` names a scenario other than the study's own,
+    ``methods`` other methods, and ``case`` gives the combination a name."""
     axes: dict[str, tuple[Any, ...]] = Field(default_factory=dict)
     """Values by dotted name; each case is run with every combination of these values."""
     seeds: tuple[Seed, ...] = Field(default=(0,), min_length=1)
@@ -43,7 +43,7 @@ class Variation(Group):
     def _each_name_varies_once(self) -> "Variation":
         varied = {name for case in self.cases for name in case}
         for name in ("seed", "name", "methods"):
-            if name in {*self.set, *varied, *self.axes}:
+            if name in {*self.set, *self.axes} | (varied - {"methods"}):
                 raise ValueError(f"{name} can be no name in set, cases or axes; a study has seeds, a name and methods")
         if both := [name for name in self.axes if name in varied]:
             raise ValueError(f"{shorten(both[0])} is both in cases and in axes")

@@ -33,7 +33,7 @@ NOTE = (
 def list_sources(rows: Sequence[Row], varied: Sequence[str]) -> list[Row]:
     """A row for each source of positions of each run."""
     return [
-        {**row, **figures, "source": TITLES.get(name) or title_of(name), "by": name if name in TITLES else "own"}
+        {**row, **figures, "source": TITLES.get(name) or title_of(name), "by": "own" if name == row["method"] else name}
         for row in rows
         for name, figures in json.loads(row.get(DRIVES) or "{}").items()
     ]

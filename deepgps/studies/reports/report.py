@@ -141,5 +141,5 @@ def describe_doubts(metrics: Mapping[str, Mapping[str, Any]], rows: Sequence[Row
 
 def varied_names(study: Study) -> list[str]:
     """Columns that tell the runs apart: settings by dotted name, and the seed if there are several."""
-    names = dict.fromkeys([*(name for case in study.cases for name in case), *study.axes])
+    names = dict.fromkeys([*(name for case in study.cases for name in case if name != "methods"), *study.axes])
     return [*names, *(["seed"] if len(study.seeds) > 1 or not names else [])]
