@@ -102,10 +102,7 @@ FLATTENING_START, FLATTENING_END = 0.35, 0.7
 
 
 def flatten_later(loss: Loss, lift: LiftSettings) -> Loss:
-    """Add, with increasing weight, the mean distance of predictions from the plane of their two principal axes.
-
-    It reads values back from a GPU, which therefore cannot replay its steps.
-    """
+    """Add, with increasing weight, the mean distance of predictions from the plane of their two principal axes."""
 
     def both(out: torch.Tensor, batch: Batch, done: torch.Tensor) -> torch.Tensor:
         push = lift.penalty * min(1.0, max(0.0, (float(done) - FLATTENING_START) / (FLATTENING_END - FLATTENING_START)))

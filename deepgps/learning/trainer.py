@@ -12,9 +12,9 @@ methods, or nearly one between two machines, is noise.
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +23,7 @@ from threadpoolctl import threadpool_limits
 from torch import nn
 
 from deepgps.config.learning import TrainSettings
-from deepgps.learning.batches import Batch, Draw, Inputs, Loss
+from deepgps.learning.batches import Draw, Inputs, Loss
 from deepgps.learning.checkpoint import load_checkpoint, save_checkpoint
 from deepgps.terminal.progress import Report, ignore
 from sim.errors import InputError, WorkError
@@ -97,96 +97,6 @@ def has_fast_bfloat16(device: torch.device) -> bool:
     return can.get("amx_bf16", False) or (can.get("avx512_bf16", False) and "AMD" in can.get("cpu_name", ""))
 
 
-UNRECORDED_STEPS = 3
-"""Steps that are taken before one is recorded, in which CUDA's libraries load kernels and allocate memory."""
-
-Step = Callable[[torch.Tensor, Batch, torch.Tensor], torch.Tensor]
-"""(network input, batch, fraction of the steps done (0-dim)) -> loss before the step, which it then takes."""
-
-
-def make_step(network: nn.Module, optimiser: torch.optim.Optimizer, loss: Loss, bfloat16: bool) -> Step:
-    """Return the step that changes the network's weights in place."""
-
-    def step(inputs: torch.Tensor, batch: Batch, done: torch.Tensor) -> torch.Tensor:
-        with torch.autocast(inputs.device.type, torch.bfloat16, enabled=bfloat16):
-            out = network(inputs)
-        value = loss(out.unflatten(0, batch.index.shape), batch, done)
-        optimiser.zero_grad(set_to_none=True)
-        value.backward()
-        optimiser.step()
-        return value.detach()
-
-    return step
-
-
-class ReplayedStep:
-    """A step recorded as a CUDA graph, which is launched at once.
-
-    Its tensors have fixed addresses, so each call copies its arguments there; the learning rate becomes a tensor. The
-    step must not read a value back from the GPU, nor depend on a Python value that changes. Arguments of other shapes
-    need a new recording.
-    """
-
-    def __init__(self, step: Step, optimiser: torch.optim.Optimizer, device: torch.device) -> None:
-        self.step, self.optimiser, self.device = step, optimiser, device
-        self.stream = torch.cuda.Stream(device)
-        self._forget()
-        for group in optimiser.param_groups:
-            group["lr"] = torch.zeros((), device=device)
-
-    def _forget(self) -> None:
-        self.graph: torch.cuda.CUDAGraph | None = None
-        self.plain, self.shapes = UNRECORDED_STEPS, list[torch.Size]()
-        for group in self.optimiser.param_groups:
-            group["capturable"] = False  # or a plain step warns
-
-    def __call__(self, inputs: torch.Tensor, batch: Batch, done: torch.Tensor) -> torch.Tensor:
-        """Take a step; what it returns is overwritten by the next."""
-        given = [inputs, done, *(one for one in vars(batch).values() if one is not None)]
-        shapes = [one.shape for one in given]
-        with torch.cuda.device(self.device):
-            if shapes != self.shapes:
-                self._forget()
-                self.shapes = shapes
-            if self.plain > 0:
-                self.plain -= 1
-                return self._take_plainly(inputs, batch, done)
-            if self.graph is None:
-                self.graph, self.held, self.value = self._record(inputs, batch, done)
-            for held, one in zip(self.held, given, strict=True):
-                held.copy_(one)
-            self.graph.replay()
-            return self.value
-
-    def _take_plainly(self, inputs: torch.Tensor, batch: Batch, done: torch.Tensor) -> torch.Tensor:
-        self.stream.wait_stream(torch.cuda.current_stream())
-        with torch.cuda.stream(self.stream):
-            value = self.step(inputs, batch, done)
-        torch.cuda.current_stream().wait_stream(self.stream)
-        return value
-
-    def _record(
-        self, inputs: torch.Tensor, batch: Batch, done: torch.Tensor
-    ) -> tuple[torch.cuda.CUDAGraph, list[torch.Tensor], torch.Tensor]:
-        for group in self.optimiser.param_groups:
-            group["capturable"] = True
-        tensors = {name: one.clone() for name, one in vars(batch).items() if one is not None}
-        inputs, done, batch = inputs.clone(), done.clone(), replace(batch, **tensors)
-        graph = torch.cuda.CUDAGraph()
-        with torch.cuda.graph(graph, stream=self.stream):
-            value = self.step(inputs, batch, done)
-        return graph, [inputs, done, *tensors.values()], value
-
-
-def set_rate(optimiser: torch.optim.Optimizer, rate: float) -> None:
-    """Set the learning rate, in place where it is a tensor."""
-    for group in optimiser.param_groups:
-        if isinstance(group["lr"], torch.Tensor):
-            group["lr"].fill_(rate)
-        else:
-            group["lr"] = rate
-
-
 def train(
     network: nn.Module,
     inputs: Inputs,
@@ -197,13 +107,11 @@ def train(
     folder: Path,
     progress: Report = ignore,
     label: str = "train",
-    replay: bool = False,
 ) -> float:
     """Train ``network`` in place, or continue from the checkpoint in ``folder``.
 
     Writes ``folder/history.npz``: ``step`` and ``loss`` (means between two points), ``snapshot_step`` (K,), and
-    ``snapshot`` (K, n, 2) predictions of the observations ``snapshot_index`` (n,) [m]. A GPU may ``replay`` a step if
-    the loss never waits for a value from it, and depends on no Python value that changes. Returns seconds of training,
+    ``snapshot`` (K, n, 2) predictions of the observations ``snapshot_index`` (n,) [m]. Returns seconds of training,
     those of an interrupted one included; raises WorkError if it diverged.
     """
     with use_threads(settings.threads):
@@ -217,19 +125,23 @@ def train(
         fast = settings.bfloat16 and has_fast_bfloat16(device)
         history = History.start(len(inputs), settings.steps, settings.snapshots)
         done, seconds = load_checkpoint(folder, network, optimiser, generator, history.arrays)
-        take_step = make_step(network, optimiser, loss, fast)
-        if replay and device.type == "cuda":
-            take_step = ReplayedStep(take_step, optimiser, device)
         start = time.perf_counter() - seconds
         running, fraction = torch.zeros((), device=device), torch.zeros((), device=device)
         every = max(1, settings.steps // LOSS_POINTS)
         for step in range(done, settings.steps):
             if step in history.snapshot_steps:
                 history.add(snapshot_step=step, snapshot=predict(network, inputs, history.index))
-            set_rate(optimiser, settings.learning_rate * schedule(step, settings.steps))
+            for group in optimiser.param_groups:
+                group["lr"] = settings.learning_rate * schedule(step, settings.steps)
             batch = draw(generator, step / settings.steps)
             taken = inputs.take(batch.index.flatten(), generator)
-            running += take_step(taken, batch, fraction.fill_(step / settings.steps))
+            with torch.autocast(device.type, torch.bfloat16, enabled=fast):
+                out = network(taken)
+            value = loss(out.unflatten(0, batch.index.shape), batch, fraction.fill_(step / settings.steps))
+            optimiser.zero_grad(set_to_none=True)
+            value.backward()
+            optimiser.step()
+            running += value.detach()
             if (step + 1) % every == 0:
                 _check_finite(running, step + 1, settings)
                 history.add(step=step + 1, loss=running.item() / every)

@@ -130,8 +130,7 @@ def train_attempt(
             loss = flatten_later(loss, settings.lift)
     # 5. Gradient descent.
     shuffling = derive_seed(seed, "shuffling", number)
-    replay = start != "lifting"  # whose loss reads values back from a GPU
-    seconds = train(network, data.inputs, draw, loss, settings.train, shuffling, folder, progress, label, replay)
+    seconds = train(network, data.inputs, draw, loss, settings.train, shuffling, folder, progress, label)
     # 6. The map, which is a plane in the network's output, and whether it is folded or could be (ours).
     out = predict(network, data.inputs, torch.arange(len(data.features)))
     centre, axes = find_plane(out)

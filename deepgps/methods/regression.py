@@ -44,9 +44,7 @@ def fit_positions(
         return losses.distance(out, batch.target).mean()
 
     network, shuffling = new_network(data, settings, 2, seed), derive_seed(seed, "shuffling")
-    seconds = train(
-        network, data.inputs, draw, loss, settings.train, shuffling, folder, progress, folder.name, replay=True
-    )
+    seconds = train(network, data.inputs, draw, loss, settings.train, shuffling, folder, progress, folder.name)
     training = {
         "steps": settings.train.steps,
         "train_s": round(seconds, 1),
