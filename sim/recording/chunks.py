@@ -93,7 +93,7 @@ def _number(segment: Segment, number: int, observations: int) -> dict[str, np.nd
     """A segment's new states and its readings, numbered over the complete drive."""
     first = observations - 1 if segment.continues else observations
     count, kind = len(segment.time), "in_place" if segment.continues else "backed_off"
-    if segment.relocated or segment.after_arc:
+    if segment.relocated:
         kind = "relocated"
     return {
         "state": segment.state[1:] if segment.continues else segment.state,

@@ -26,7 +26,6 @@ from sim.robot.motion import (
     RANGE_TOLERANCE_M,
     Robot,
     back_off,
-    drive_arc,
     halt,
     look,
     ramp,
@@ -40,7 +39,6 @@ TOUCH_ENDINGS = ("contact", "stall")  # After these endings the robot is no long
 STRAIGHTENING_GAIN_PER_S = 4.0
 """Gain that keeps the wheel angles equal: difference of the speeds over difference of the angles [1/s]."""
 MEAN_SEARCH_SEGMENTS = 20  # Average number of segments in a search
-ARC_M, ARC_RADIUS_M = (0.3, 1.5), (0.3, 1.5)  # Shortest and longest arc, and its smallest and largest radius [m]
 UNCERTAIN_DISTANCE_M = 0.12
 """A contact or stall makes the samples over this last distance travelled doubtful: they are dropped [m]."""
 STALL_S = 0.2  # Wheels that turn at less than half the commanded speed for this long are blocked [s]
@@ -73,7 +71,6 @@ class Segment:
     dropped: int  # Number of samples dropped as doubtful, since the last segment
     mode: DriveMode  # How to continue
     relocated: int = 0  # How often the robot was relocated before this segment
-    after_arc: bool = False  # Whether it drove an arc before this segment
 
     @property
     def pose(self) -> np.ndarray:
@@ -86,11 +83,10 @@ def next_segment(
 ) -> Segment:
     """Turn the robot, at rest, to a clear heading and drive one straight segment of at least two samples.
 
-    The mode is the last segment's or a new one; ``rng`` draws headings, arcs, when to enter or search, and the heading
+    The mode is the last segment's or a new one; ``rng`` draws headings, when to enter or search, and the heading
     of a relocated robot. The planner says where to, and follows the robot. Raises WorkError if the robot is stuck.
     """
     wedged = relocated = dropped = 0
-    after_arc = False
     for tries in range(TRIES):
         if tries == CARRY_TRIES and not relocated:  # what holds it, its ranges do not see
             robot.carry(rng)
@@ -107,27 +103,15 @@ def next_segment(
                 wedged, relocated = 0, 1
             else:
                 raise WorkError(f"the robot is stuck at {robot.time():.1f} s: nothing is clear all around")
-        if settings.arcs and mode.kind != "enter" and _may_drive_arc(robot, settings, rng):
-            planner.move(robot.wheel_angle())
-            mode, after_arc = mode._replace(continues=False), True
-            continue
         segment = _go_straight(robot, settings, rng, course, mode, planner)
         planner.pass_over(robot.wheel_angle(), segment.wheel_angle, touched := segment.ended in TOUCH_ENDINGS)
         if touched:
             _back_off(robot, planner)
         dropped += segment.dropped
         if len(segment.time) >= 2:
-            return replace(segment, dropped=dropped, relocated=relocated, after_arc=after_arc)
+            return replace(segment, dropped=dropped, relocated=relocated)
         mode = segment.mode._replace(continues=False)
     raise WorkError(f"the robot is stuck at {robot.time():.1f} s: {TRIES} attempts to drive straight failed")
-
-
-def _may_drive_arc(robot: Robot, settings: DriveSettings, rng: np.random.Generator) -> bool:
-    """Drive an arc if one is drawn and there is room; returns whether the robot moved."""
-    if rng.uniform() >= settings.arcs:
-        return False
-    length_m, radius_m, side = rng.uniform(*ARC_M), rng.uniform(*ARC_RADIUS_M), rng.choice((1, -1))
-    return drive_arc(robot, settings, length_m, side / radius_m)
 
 
 def _back_off(robot: Robot, planner: Planner) -> None:

@@ -1,4 +1,4 @@
-"""How the robot moves: it looks, turns in place, drives arcs, rolls back and pauses, controlled by its wheel angles."""
+"""How the robot moves: it looks, turns in place, rolls back and pauses, controlled by its wheel angles."""
 
 from typing import Protocol
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from sim.robot.model import CONTROL_PERIOD_S, Body, wheel_motion, wheel_speeds
 from sim.robot.range_finder import clear_length
-from sim.settings import TURN_RATE_RPS, DriveSettings
+from sim.settings import TURN_RATE_RPS
 
 ACCELERATION_MPS2 = 0.5
 TURN_ACCELERATION_RPS2 = 6.0
@@ -15,8 +15,6 @@ PATIENCE_TURNS = 4  # A turn is given up if it takes longer than this many full 
 GOAL_TOLERANCE_RAD, GOAL_TOLERANCE_M = 0.01, 0.002
 """The robot stops when it is nearer than this to its goal: a controller that acts once per period can do no better."""
 RANGE_TOLERANCE_M = 0.01  # Ranges that differ by less than this count as unchanged [m]
-ARC_CLEARANCE_M = 0.3
-"""On an arc this much stays clear straight ahead [m]: the robot looks where it heads, and turns as it drives."""
 ROLL_BACK_M = 0.06
 ROLL_BACK_MPS = 0.08
 
@@ -60,29 +58,6 @@ def turn(robot: Robot, angle: float, until_clear_m: float | None = None, caution
         robot.step(wheel_speeds(0.0, np.copysign(rate, angle), robot.body))
     halt(robot)
     return goal < np.inf
-
-
-def drive_arc(robot: Robot, settings: DriveSettings, length_m: float, curvature: float) -> bool:
-    """Drive an arc of a length [m] and a curvature, positive to the left [1/m], from rest to rest; returns whether the
-    robot moved.
-
-    It ends early before an obstacle, at a contact, and when the wheels are held. After a contact the robot rolls back,
-    also from one that there was before.
-    """
-    period, start, speed = CONTROL_PERIOD_S, robot.wheel_angle(), 0.0
-    deadline = robot.time() + 2 * (length_m / settings.speed_mps + settings.speed_mps / ACCELERATION_MPS2)
-    while robot.time() < deadline and not robot.bumped():
-        rest_m = length_m - travelled(robot, start)
-        clear_m = look(robot, rest_m + ARC_CLEARANCE_M + robot.body.radius_m + RANGE_TOLERANCE_M) - ARC_CLEARANCE_M
-        if min(rest_m, clear_m) < GOAL_TOLERANCE_M:
-            break
-        speed = ramp(speed, settings.speed_mps, ACCELERATION_MPS2, min(rest_m, clear_m), period)
-        robot.step(wheel_speeds(speed, speed * curvature, robot.body))
-    touched = robot.bumped()
-    halt(robot)
-    if touched:
-        back_off(robot)
-    return touched or speed > 0.0
 
 
 def back_off(robot: Robot) -> None:

@@ -138,7 +138,7 @@ class SimSettings(Group):
 
 
 ROOM_SETTINGS = ("tag_camera.mounted", "robot", "grid.held_out", "deployment.drive_samples")
-ROOM_SETTINGS += tuple(f"drive.{name}" for name in ("strategy", "lengths", "headings", "enter", "search", "arcs"))
+ROOM_SETTINGS += tuple(f"drive.{name}" for name in ("strategy", "lengths", "headings", "enter", "search"))
 """Settings without effect in a plane, where the robot has no range finder."""
 NO_FAULTS: dict[str, Group] = {
     "image_faults": ImageFaultSettings(),

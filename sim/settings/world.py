@@ -129,8 +129,6 @@ class DriveSettings(Group):
     usual, little daylight, lamps off, night."""
     person: Persons = Field(default=0, exclude_if=not_)
     """Persons who walk and stand in view during the training drive, at most 3; as deployment.person."""
-    arcs: float = Field(default=0.0, ge=0.0, le=0.9)
-    """Probability, before a segment, of driving an arc first, on which no image is taken; only logs show it."""
     until: UntilSettings = Field(default=UntilSettings(), exclude_if=lambda until: until == UntilSettings())
 
     @model_validator(mode="after")

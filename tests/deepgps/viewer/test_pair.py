@@ -97,13 +97,13 @@ def test_settings_that_are_not_written_are_compared_at_their_defaults(copied: tu
     write_lines(copied[1] / "scenario.yaml", "image_faults: {exposure: 2.0}\nname: living_room\n")
     rows = [line for line in describe(open_pair(copied)).splitlines() if line.startswith("| image_faults.")]
     assert rows == ["| image_faults.exposure | 1.0 | 2.0 |"]
-    changed = {"deployment": {"daylight": 0.3}, "learn": {"features": {"values": "ranks"}}, "drive": {"arcs": 0.5}}
+    changed = {"deployment": {"daylight": 0.3}, "learn": {"features": {"values": "ranks"}}, "drive": {"search": 0.5}}
     plain, other = Scenario(name="living_room"), Scenario.model_validate({"name": "living_room", **changed})
     for pair in ((plain, other), (other, plain)):
         for folder, scenario in zip(copied, pair, strict=True):
             write_lines(folder / "scenario.yaml", write_out(scenario))
         text = describe(open_pair(copied))
-        assert all(f"| {name} |" in text for name in ("deployment.daylight", "learn.features.values", "drive.arcs"))
+        assert all(f"| {name} |" in text for name in ("deployment.daylight", "learn.features.values", "drive.search"))
 
 
 def test_changes_are_drawn_on_one_fixed_scale() -> None:

@@ -12,7 +12,6 @@ from sim.robot.drive import TOUCH_ENDINGS, UNCERTAIN_DISTANCE_M, Segment, _go_st
 from sim.robot.drive import next_segment as drive_segment
 from sim.robot.headings import STOP_DISTANCE_M, Course, DriveMode, Visits
 from sim.robot.model import BURGER, CONTROL_PERIOD_S, RADIUS_M, TRACK_M, WHEEL_RADIUS_M
-from sim.robot.motion import drive_arc
 from sim.robot.range_finder import lay_fan
 from sim.robot.world import RoomWorld
 from sim.rooms.spec import empty_room
@@ -236,14 +235,6 @@ def test_samples_of_a_segment_too_short_to_keep_are_counted_as_dropped():
         segment = next_segment(toy, DriveSettings(spacing_m=0.01), np.random.default_rng(0), DriveMode())
         assert segment.ended == "range"
         assert segment.dropped == toy.taken > touch_m / 0.01
-
-
-def test_an_arc_says_that_the_robot_moved_if_its_wheels_turned():
-    for bumps, wall_m in itertools.product((True, False), (2.0, 0.1)):
-        toy = Toy("none", np.inf)
-        toy.bumped = lambda bumps=bumps: bumps
-        toy.ranges = lambda reach_m, turned_rad=0.0, wall_m=wall_m: np.full(len(ANGLE), min(wall_m, reach_m))
-        assert drive_arc(toy, DriveSettings(), 0.5, 1.0) == toy.wheel_angle().any() == (bumps or wall_m > 1.0)
 
 
 def test_robot_walled_in_is_stuck(monkeypatch):

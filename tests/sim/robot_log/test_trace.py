@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 
 from sim.geometry import planar_pose
 from sim.recording.chunks import drive_chunk, find_least
-from sim.recording.turns import KINDS
 from sim.rng import stream
 from sim.robot.model import TRACK_M, WHEEL_RADIUS_M
 from sim.robot.world import RoomWorld
@@ -26,7 +25,7 @@ from sim.robot_log.observe import (
 from sim.settings import DriveSettings, SimSettings
 from tests.helpers.small_room import furnished
 
-ARCS = SimSettings(drive=DriveSettings(samples=300, arcs=0.5))
+SETTINGS = SimSettings(drive=DriveSettings(samples=300))
 BASE = make_base_clock(0)
 
 
@@ -37,16 +36,16 @@ def trace(settings: SimSettings, samples: int = 0) -> tuple[TracedWorld, Trace, 
 
 @pytest.fixture(scope="module")
 def drive() -> tuple[TracedWorld, Trace, np.ndarray]:
-    return trace(ARCS)
+    return trace(SETTINGS)
 
 
 def test_tracing_changes_no_bit_of_the_drive_and_keeps_every_step(drive):
-    world, rng, chunk, angle = RoomWorld(ARCS, furnished()), stream(0, "drive"), None, []
+    world, rng, chunk, angle = RoomWorld(SETTINGS, furnished()), stream(0, "drive"), None, []
     _, found, wheel_angle = drive
     kept = {state.tobytes() for state in found.state}
-    while chunk is None or chunk["observations"] < ARCS.drive.samples:
+    while chunk is None or chunk["observations"] < SETTINGS.drive.samples:
         begun = chunk is None  # the first sample is before all steps
-        chunk = drive_chunk(world, ARCS, rng, chunk)
+        chunk = drive_chunk(world, SETTINGS, rng, chunk)
         angle.append(chunk["wheel_angle"])
         assert all(state.tobytes() in kept for state in chunk["state"][begun:])
     assert len(angle) > 1
@@ -79,20 +78,12 @@ def test_everything_is_read_at_its_rate_from_the_beginning_to_the_end(drive, clo
 
 
 def test_wheels_and_truth_tell_the_same_way(drive):
-    """Odometry by the ideal wheel angles follows the true heading in turns and arcs, except for slip and contacts."""
+    """Odometry by the ideal wheel angles follows the true heading in turns, except for slip and contacts."""
     world, found, _ = drive
     _, state = found.find(BASE, JOINT_S)
     wheels = state[:, find_wheels(world)]
     turned = (wheels[:, 1] - wheels[:, 0]) * WHEEL_RADIUS_M / TRACK_M
     assert np.median(np.abs(np.diff(turned) - np.diff(np.unwrap(planar_pose(state)[:, 2])))) < 0.002
-
-
-def test_a_recording_knows_nothing_of_the_way_along_an_arc():
-    chunk = drive_chunk(RoomWorld(ARCS, furnished()), ARCS, stream(0, "drive"), None)
-    kinds = [KINDS[kind] for kind in chunk["turn_kind"]]
-    assert chunk["relocated"] == 0
-    assert 3 < kinds.count("relocated") < len(kinds)
-    np.testing.assert_array_equal(np.diff(chunk["segment"])[np.diff(chunk["observation"]) == 0], 1)
 
 
 @given(st.builds(Clock, st.floats(-5, 5), st.floats(-1e-3, 1e-3)))
