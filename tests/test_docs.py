@@ -178,7 +178,7 @@ def test_every_key_of_metrics_and_manifest_is_in_the_page_of_formats(finished_ru
     )
     first, *_ = metrics["methods"].values()
     nested = {f"{key}.{inner}" for key in ("test", "coverage", "trajectory", "distances") for inner in metrics[key]}
-    groups = {"fold", "turned", "risk_coverage"} & set(first)
+    groups = {"fold", "turned"} & set(first)
     signs = {f"{key}.{inner}" for key in groups for inner in first[key]}
     named = {"format", "sensors", "settings", "sha256", "odometry", "samples", "segments", "readings", "seed"}
     wanted = {*metrics, *nested, *first, *signs, *manifest} - {"test", "coverage", "trajectory", "distances"}

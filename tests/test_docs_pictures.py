@@ -6,10 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from deepgps.evaluation.error_field import read_all_headings
 from docs import pictures
 from docs.explore_picture import draw_drive
-from docs.trust_picture import draw_trust
 from sim.recording.format import open_truth
 
 
@@ -24,9 +22,3 @@ def test_the_pictures_of_concepts_are_drawn_from_a_run(finished_run: Path, tmp_p
 
 def test_the_picture_of_exploring_is_drawn_from_a_drive(finished_run: Path):
     assert len(draw_drive(open_truth(finished_run / "recording")).axes) == 3
-
-
-def test_the_picture_about_trust_is_drawn_from_a_run(finished_run: Path):
-    truth = open_truth(finished_run / "recording")
-    figure = draw_trust(truth.free_space, read_all_headings(finished_run))
-    assert len(figure.axes) == 3

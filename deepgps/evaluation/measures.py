@@ -5,13 +5,11 @@ kinds seen once, over the number of draws (I. J. Good, Biometrika 40, 1953). A d
 segment passes.
 """
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from scipy import ndimage
 from scipy.spatial import KDTree
-from scipy.stats import rankdata
 
 from deepgps.evaluation.error_field import ErrorField, find_rms, find_worst
 from deepgps.positioner.pose import Poses
@@ -165,11 +163,6 @@ def summarise_yaw(field: ErrorField) -> dict[str, float]:
 
 PARTS = {"novelty": "novelty", "radius": "radius_68", "radius_95": "radius_95", "accepted": "accepted"}
 """Arrays of an error field, and where poses have them."""
-LARGE_ERROR_M = 0.1
-MIN_IMAGES = 20
-"""Errors above ``LARGE_ERROR_M`` should be refused; with fewer images than this above or below it, no AUROC is
-given."""
-REFUSED_SHARES = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1)  # Shares of images refused in the table of the risk-coverage curve
 
 
 def make_field(poses: Poses, true: np.ndarray, alignment: Alignment, with_yaw: bool = True) -> ErrorField:
@@ -198,11 +191,11 @@ def summarise(error: np.ndarray) -> dict[str, float]:
 
 
 def summarise_acceptance(field: ErrorField) -> dict[str, Any]:
-    """Figures of what a method accepts, the errors of that, and how well its novelty and its radii tell errors.
+    """Figures of what a method accepts, the errors of that, and how well its radii hold.
 
-    Those of parts that the method does not give are left out; one is None where there are too few images for it.
+    Those of parts that the method does not give are left out.
     """
-    return {**_judge_accepted(field), **_judge_radii(field), **_judge_novelty(field)}
+    return {**_judge_accepted(field), **_judge_radii(field)}
 
 
 def _judge_accepted(field: ErrorField) -> dict[str, Any]:
@@ -235,58 +228,3 @@ def _judge_radii(field: ErrorField) -> dict[str, Any]:
 
 def _share_within(error: np.ndarray, radius: np.ndarray) -> float | None:
     return float((error <= radius).mean()) if len(error) else None
-
-
-def _judge_novelty(field: ErrorField) -> dict[str, Any]:
-    """How well the novelty ranks the errors of images."""
-    if field.novelty is None:
-        return {}
-    risk, best = find_risk(field.error, field.novelty), find_risk(field.error, field.error)
-    largest = np.maximum.accumulate(sort_by(field.novelty, field.error))
-    kept = [len(risk) - round(share * len(risk)) - 1 for share in REFUSED_SHARES]
-    return {
-        # Probability that an error above 10 cm has a higher novelty than one below; None: fewer than 20
-        "auroc_10cm": measure_auroc(field.error, field.novelty),
-        "aurc_m": float(risk.mean()),  # Area under the curve of RMS error over all shares of images kept
-        # The same if those with the largest errors were refused: no score leaves less
-        "best_aurc_m": float(best.mean()),
-        "risk_coverage": {
-            "refused": list(REFUSED_SHARES),  # Shares of all images, those with the highest novelty
-            "rms_m": _pick(risk, kept),  # RMS error of the images that are left
-            "max_m": _pick(largest, kept),  # Largest error of these
-            "best_rms_m": _pick(best, kept),  # RMS that would be left if those with the largest errors were refused
-        },
-    }
-
-
-def _pick(values: np.ndarray, rows: Sequence[int]) -> list[float]:
-    return [float(values[row]) for row in rows]
-
-
-def find_risk(error: np.ndarray, score: np.ndarray) -> np.ndarray:
-    """RMS error [m] of the k images with the lowest scores, for k from 1 to all (n,); a score of NaN is the highest.
-
-    The mean of this curve is the area under it (AURC; Geifman, Uziel, El-Yaniv, "Bias-Reduced Uncertainty Estimation
-    for Deep Neural Classifiers", ICLR 2019, with the RMS error as risk).
-    """
-    squared = np.cumsum(sort_by(score, error) ** 2)
-    return np.sqrt(squared / np.arange(1, len(squared) + 1))
-
-
-def sort_by(score: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Values (n,) by increasing score, from arrays of one shape; NaN counts as the highest score."""
-    return values.ravel()[np.argsort(score, axis=None, kind="stable")]
-
-
-def measure_auroc(error: np.ndarray, score: np.ndarray) -> float | None:
-    """Probability that an error above ``LARGE_ERROR_M`` has a higher score than one below it; None with too few of
-    either.
-
-    It is the statistic of Mann and Whitney (Ann. Math. Stat. 18, 1947) over the number of pairs.
-    """
-    large = error.ravel() > LARGE_ERROR_M
-    above, below = int(large.sum()), int((~large).sum())
-    if min(above, below) < MIN_IMAGES:
-        return None
-    rank = rankdata(np.where(np.isnan(score), np.inf, score).ravel())
-    return float((rank[large].sum() - above * (above + 1) / 2) / (above * below))

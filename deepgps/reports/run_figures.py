@@ -1,4 +1,4 @@
-"""A run's figures as PNG: error fields, comparison, error distribution, risk-coverage curve, training, drive."""
+"""A run's figures as PNG: error fields, comparison, error distribution, training, drive."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 
 from deepgps.config.methods import METHODS, colour_of, title_of
 from deepgps.evaluation.error_field import ErrorField, find_rms, read_all_headings, split_by_acceptance
-from deepgps.evaluation.measures import REFUSED_SHARES, find_risk
 from deepgps.reports.plots import add_scale, draw_field, draw_room, explain_refused, smooth, to_png
 from deepgps.reports.run_report import read_metrics
 from sim.files.atomic import write_bytes
@@ -43,8 +42,6 @@ def make_figures(run: Path) -> dict[str, Figure]:
     figures = {f"error_field_{name}": draw_error_field(space, field, name) for name, field in fields.items()}
     figures["error_fields"] = draw_comparison(space, fields, metrics)
     figures["error_cdf"] = draw_error_cdf(fields)
-    if known := {name: field for name, field in fields.items() if field.novelty is not None}:
-        figures["risk_coverage"] = draw_risk(known)
     figures["drive"] = draw_drive(truth, recording.reading, recording.manifest.distance_driven_m)
     if histories:
         figures["training"] = draw_training(histories)
@@ -182,44 +179,3 @@ def _finish_plot(axes: Axes) -> None:
 def _rank(name: str) -> tuple[int, str]:
     names = list(METHODS)
     return (names.index(name) if name in names else len(names), name)
-
-
-MAX_REFUSED_SHARE = REFUSED_SHARES[-1]  # Share refused at the end of the axis, as in the table of ``metrics.json``
-
-
-def draw_risk(fields: Mapping[str, ErrorField]) -> Figure:
-    """The risk-coverage curve of each method that gives a novelty, and the lowest curve that any score can have."""
-    figure = Figure(figsize=(7.5, 4.6), layout="constrained")
-    axes = figure.add_subplot()
-    plot_risk(axes, fields)
-    axes.set_title("Errors left when the least familiar images are refused", fontsize=13)
-    return figure
-
-
-def plot_risk(axes: Axes, fields: Mapping[str, ErrorField]) -> None:
-    """Plot the curves into axes: by novelty, dashed by the true error, and a dot at what each method refuses itself."""
-    for name, field in fields.items():
-        if field.novelty is None:
-            continue
-        colour = colour_of(name)
-        _plot_curve(axes, find_risk(field.error, field.novelty), color=colour, lw=1.8, label=title_of(name))
-        _plot_curve(axes, find_risk(field.error, field.error), color=colour, lw=1.0, ls="--")
-        kept = field.error[field.is_accepted]
-        if field.accepted is not None and len(kept):
-            refused = 100 * (1 - field.accepted.mean())
-            axes.plot(refused, 100 * np.sqrt(np.mean(kept**2)), "o", color=colour, ms=6, mec="#ffffff", zorder=4)
-    axes.plot([], [], "--", color="#666666", lw=1.0, label="refused by the true error")
-    axes.plot([], [], "o", color="#666666", ms=6, mec="#ffffff", label="what the method refuses")
-    axes.set(xlabel="images refused [%]", ylabel="RMS error of the others [cm]")
-    axes.set_xlim(-0.1, 100 * MAX_REFUSED_SHARE)
-    axes.xaxis.set_major_locator(ticker.MultipleLocator(1))
-    axes.set_ylim(bottom=0)
-    axes.grid(alpha=0.25)
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(frameon=False, fontsize=9)
-
-
-def _plot_curve(axes: Axes, risk: np.ndarray, **line) -> None:
-    refused = 100 * (1 - np.arange(1, len(risk) + 1) / len(risk))
-    shown = refused <= 100 * MAX_REFUSED_SHARE
-    axes.plot(refused[shown], 100 * risk[shown], **line)

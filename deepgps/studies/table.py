@@ -23,7 +23,7 @@ FIGURES = (
     *("yaw_rms_deg", "yaw_median_deg", "yaw_p95_deg", "yaw_rms_accepted_deg"),
     *("scale", "misplaced", "flipped", "alignment", "steps", "train_s", "parameters", "attempts"),
     *("accepted", "accepted_places", "rms_accepted_m", "median_accepted_m", "p95_accepted_m", "max_accepted_m"),
-    *("auroc_10cm", "aurc_m", "radius_68_holds", "radius_95_holds", "radius_68_median_m"),
+    *("radius_68_holds", "radius_95_holds", "radius_68_median_m"),
 )
 # figures of a map by compass
 MAP_FIGURES = ("rms_m", "expected_rms_m", "nees", "flipped_m2")

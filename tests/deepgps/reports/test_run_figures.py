@@ -15,7 +15,7 @@ from matplotlib.colors import to_hex
 from deepgps.evaluation.error_field import ErrorField, find_worst, read_all_headings, read_fields
 from deepgps.reports import run_figures
 from deepgps.reports.plots import REFUSED_COLOUR, SCALE_M, colours_of, smooth, to_png
-from deepgps.reports.run_figures import draw_error_field, draw_figures, draw_risk, make_figures
+from deepgps.reports.run_figures import draw_error_field, draw_figures, make_figures
 from sim.errors import InputError
 from sim.geometry import limits
 from tests.helpers.synthetic_run import METHODS, make_free_space, write_synthetic_run
@@ -70,7 +70,7 @@ def test_every_figure_is_written_as_png(run: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(run_figures, "to_png", lambda _: b"\x89PNG")  # one is drawn below
     paths = draw_figures(run)
     names = {f"error_field_{name}" for name in METHODS}
-    names |= {"error_fields", "error_cdf", "risk_coverage", "drive", "training"}
+    names |= {"error_fields", "error_cdf", "drive", "training"}
     assert {path.stem for path in paths} == names
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in paths)
     assert all(path.parent == run / "figures" for path in paths)
@@ -125,21 +125,6 @@ def test_a_foreign_backend_changes_no_figure(run: Path) -> None:
         assert to_png(draw_error_field(space, field, "knn")) == drawn
     finally:
         matplotlib.use(before)
-
-
-def test_the_risk_coverage_curve_begins_with_all_images_and_never_is_below_that_by_the_error(run: Path) -> None:
-    field = read_all_headings(run)["knn"]
-    novelty = field.error * np.random.default_rng(0).lognormal(size=field.error.shape)
-    told = replace(field, novelty=novelty, accepted=novelty < np.quantile(novelty, 0.95))
-    curve, best, dot, *_ = draw_risk({"knn": told}).axes[0].lines
-    for line in (curve, best):
-        share, rms = np.asarray(line.get_data(), float)
-        assert share.max() <= 10 and share[-1] == 0
-        assert rms[-1] == pytest.approx(100 * np.sqrt((field.error**2).mean()))
-    assert (np.asarray(curve.get_ydata()) >= np.asarray(best.get_ydata()) - 1e-9).all()
-    refused, left = np.asarray(dot.get_data(), float).ravel()
-    assert refused == pytest.approx(5.0, abs=0.5)
-    assert left == pytest.approx(np.interp(-refused, -np.asarray(curve.get_xdata()), np.asarray(curve.get_ydata())))
 
 
 def test_a_run_without_histories_has_no_training_figure(run: Path, tmp_path: Path) -> None:
