@@ -182,10 +182,6 @@ class ExportArguments:
     not hold an export of another run."""
     tum: bool = False
     """Write trajectories as TUM files, which evo reads: each method's and the true one, of both drives."""
-    csv: bool = False
-    """Write the same trajectories as CSV, with everything that a method tells of a pose."""
-    mcap: bool = False
-    """Write each drive as MCAP with ROS 2 messages: images, wheels, and every method's poses with covariance."""
     onnx: bool = False
     """Write one method as a model in ONNX with an example; needs the extra deepgps[onnx]."""
     method: OptionalMethod = None
@@ -205,18 +201,18 @@ class ExportArguments:
 def export_command(arguments: ExportArguments) -> None:
     """Write trajectories for other tools, or a trained method as a folder for a robot."""
     raw = parse_round_image(arguments.centre, arguments.radius_px, arguments.forward_deg)
-    if not (arguments.onnx or arguments.mcap or arguments.tum or arguments.csv):
-        raise InputError("deepgps export needs at least one of --tum, --csv, --mcap, --onnx")
+    if not (arguments.onnx or arguments.tum):
+        raise InputError("deepgps export needs --tum, --onnx or both")
     if raw is not None and not arguments.onnx:
         raise InputError("--centre and --radius-px are for --onnx")
     from deepgps.api.run import load
-    from deepgps.robot_io.export import export_drives, export_onnx
+    from deepgps.robot_io.export import export_onnx, export_tum
 
     run, method, frame = load(arguments.run), arguments.method, arguments.frame
     folder, written = arguments.out or Path("export") / arguments.run.resolve().name, []
     with working_in(folder), show_progress(errors) as progress:
-        if formats := [name for name in ("tum", "csv", "mcap") if getattr(arguments, name)]:
-            written += export_drives(run, folder, method, frame, formats, progress)
+        if arguments.tum:
+            written += export_tum(run, folder, method, frame, progress)
         if arguments.onnx:
             written += export_onnx(run, folder, method, frame, raw, progress)
     for path in written:

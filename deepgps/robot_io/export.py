@@ -3,7 +3,7 @@
 import logging
 import re
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from deepgps.data.features import PRODUCT_FLOOR, Features, describe_rings, make_
 from deepgps.learning.trainer import load_triton
 from deepgps.positioner import appearance
 from deepgps.positioner.positioner import FeaturePositioner, NetworkPositioner, Positioner, RegistrationPositioner
-from deepgps.robot_io.trajectories import find_trajectories, write_drives, write_trajectories
+from deepgps.robot_io.trajectories import write_trajectories
 from deepgps.runs.owned_folder import Kind, hold
 from deepgps.terminal.progress import Report
 from sim.alignment import Alignment
@@ -27,27 +27,16 @@ from sim.files.checksums import read_json, write_arrays, write_json
 from sim.sensors.camera.mount import map_pixels, pad
 from sim.sensors.camera.unwrap import RoundImage
 
-FILES = re.compile(
-    r"(tum|csv)/(training|use)/\w+\.(tum|csv)|mcap/(training|use)\.mcap(\.deepgps-part/.*)?"
-    r"|onnx/(model\.onnx|meta\.json|tables\.npz|\w+\.py)|export\.json"
-)
+FILES = re.compile(r"tum/(training|use)/\w+\.tum|onnx/(model\.onnx|meta\.json|tables\.npz|\w+\.py)|export\.json")
 EXPORT = Kind("export", "onnx/model.onnx", lambda: FILES)
 ABOUT_FILE = "export.json"  # The file that says which run is exported
 
 
-def export_drives(
-    run: Run, folder: Path, method: str | None, frame: Frame | None, formats: Sequence[str], progress: Report
-) -> list[Path]:
-    """Write the drives in these formats into a folder; return its subfolders.
-
-    Trajectories are of one method, or of all, in a frame, or in the world's where the map has a place in it.
-    """
+def export_tum(run: Run, folder: Path, method: str | None, frame: Frame | None, progress: Report) -> list[Path]:
+    """Write the drives as TUM files into a folder; return its subfolder. Arguments as of ``write_trajectories``."""
     with _claim(run, folder):
-        found = find_trajectories(run, method, frame, progress)  # once for all formats: every image is located
-        write_trajectories(folder, found, formats)
-        if "mcap" in formats:
-            write_drives(folder, run, found, progress)
-    return [folder / name for name in formats]
+        write_trajectories(folder / "tum", run, method, frame, progress)
+    return [folder / "tum"]
 
 
 def export_onnx(

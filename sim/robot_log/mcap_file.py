@@ -43,13 +43,6 @@ def make_pose(ns: int, pose: np.ndarray) -> Any:
     return ros.geometry_msgs__msg__PoseStamped(_header(ns, "map"), _pose(pose))
 
 
-def make_uncertain_pose(ns: int, pose: np.ndarray, variance: np.ndarray) -> Any:
-    """A planar pose (3,) in the frame of the map, with its variances (3,) [m2, m2, rad2]."""
-    x, y, yaw = variance
-    inner = ros.geometry_msgs__msg__PoseWithCovariance(_pose(pose), np.diag([x, y, 0.0, 0.0, 0.0, yaw]).reshape(-1))
-    return ros.geometry_msgs__msg__PoseWithCovarianceStamped(_header(ns, "map"), inner)
-
-
 def _header(ns: int, frame: str) -> Any:
     return ros.std_msgs__msg__Header(ros.builtin_interfaces__msg__Time(*divmod(int(ns), 10**9)), frame)
 

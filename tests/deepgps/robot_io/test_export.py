@@ -18,15 +18,15 @@ def test_trajectories_go_into_a_folder_of_their_own_again_and_every_image_is_loc
     (tmp_path / "first").symlink_to(finished_run)
     found = []
     monkeypatch.setattr(trajectories, "find_poses", lambda *given: found.append(given) or find_poses(*given))
-    words = ("export", "first", "--tum", "--csv", "--mcap", "--method", "posenet", "--out", "given")
+    words = ("export", "first", "--tum", "--method", "posenet", "--out", "given")
     for times in (1, 2):
         done = deepgps_here(*words, cwd=tmp_path)
         assert done.returncode == 0, done.stderr
-        assert done.stdout == "wrote given/tum\nwrote given/csv\nwrote given/mcap\n"
-        assert len(found) == 2 * times, "once for each drive, in all formats"
+        assert done.stdout == "wrote given/tum\n"
+        assert len(found) == 2 * times, "once for each drive"
     written = sorted(path.relative_to(tmp_path / "given").as_posix() for path in tmp_path.rglob("given/*/*/*"))
-    files = itertools.product(("csv", "tum"), ("training", "use"), ("posenet", "truth"))
-    assert written == [f"{kind}/{drive}/{name}.{kind}" for kind, drive, name in files]
+    files = itertools.product(("training", "use"), ("posenet", "truth"))
+    assert written == [f"tum/{drive}/{name}.tum" for drive, name in files]
 
 
 def test_a_run_of_the_same_name_does_not_write_into_the_export_of_another(finished_run: Path, tmp_path: Path):
@@ -48,7 +48,7 @@ def test_an_export_that_is_refused_leaves_nothing(finished_run: Path, tmp_path: 
     def refuse(*_: object) -> None:
         raise InputError("no times")
 
-    monkeypatch.setattr("deepgps.robot_io.export.find_trajectories", refuse)
+    monkeypatch.setattr("deepgps.robot_io.export.write_trajectories", refuse)
     assert_one_clear_line(deepgps_here("export", str(finished_run), "--tum", cwd=tmp_path), 2, "no times", tmp_path)
 
 
@@ -64,7 +64,7 @@ def test_a_method_is_written_as_onnx(finished_run: Path, tmp_path: Path, monkeyp
 
 def test_wrong_words_are_refused_and_a_folder_of_the_user_s_is_left_alone(finished_run: Path, tmp_path: Path):
     for words, said in (
-        ((), "needs at least one of --tum, --csv, --mcap, --onnx"),
+        ((), "needs --tum, --onnx or both"),
         (("--onnx", "--radius-px", "9"), "--centre and --radius-px: give both"),
         (("--tum", "--centre", "9", "9", "--radius-px", "9"), "--centre and --radius-px are for --onnx"),
         (("--onnx", "--centre", "9", "inf", "--radius-px", "9"), "--centre 9 inf: "),
