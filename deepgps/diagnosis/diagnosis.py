@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 from deepgps.data.checks import check_recording
 from deepgps.data.turns import turns_with_images
 from deepgps.diagnosis.gaps import Z95, Gaps, fit_slip, fit_step_noise, measure_loss, measure_stuck, read_gaps
-from deepgps.diagnosis.turning import MIN_EVIDENCE, Sight, measure_curvature, measure_turn_scale
+from deepgps.diagnosis.turning import MIN_EVIDENCE, measure_curvature, measure_turn_scale, see_turns
 from sim.errors import InputError
 from sim.recording.format import Recording
 from sim.sensors.encoder import check_odometry
@@ -88,16 +88,14 @@ def can_diagnose(recording: Recording) -> bool:
 
 
 @threadpool_limits.wrap(limits=1)  # with more threads, sums depend on the number of cores
-def diagnose(recording: Recording, sight: Sight | None = None) -> Diagnosis:
+def diagnose(recording: Recording) -> Diagnosis:
     """Diagnose the wheels of a recording; noise in its odometry's data sheet is not used.
 
-    Angles may be those that a recording of the same images has found already. Raises InputError if it has no images
-    after turns, or its readings cannot be used.
+    Raises InputError if it has no images after turns, or its readings cannot be used.
     """
     if recording.manifest.wheels_computed:
         raise InputError(f"{recording.folder}: its wheels were computed from an odometry, which cannot be diagnosed")
     check_recording(recording)
-    sight = sight or Sight()
     lost = measure_loss(recording) if recording.turn_observation is not None else (0.0, 0.0, 1.0)
     odometry = dict(check_odometry(recording.manifest.odometry))
     if len(recording.reading) < MIN_READINGS:
@@ -105,8 +103,9 @@ def diagnose(recording: Recording, sight: Sight | None = None) -> Diagnosis:
     gaps = read_gaps(recording)
     slip = fit_slip(gaps)
     noise = fit_step_noise(gaps, slip.value)
-    scale, turns = measure_turn_scale(recording, gaps, sight, slip.value, noise.value)
-    curve, pairs = measure_curvature(recording, gaps, sight, scale.value)
+    seen = see_turns(recording)
+    scale, turns = measure_turn_scale(recording, gaps, seen, slip.value, noise.value)
+    curve, pairs = measure_curvature(recording, gaps, seen, scale.value)
     track_m = odometry["track_m"]
     scale_std = (scale.std**2 + SCALE_STD**2) ** 0.5
     apart = curve.value * scale.value * track_m

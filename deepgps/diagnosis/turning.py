@@ -1,9 +1,6 @@
-"""The camera against the wheels: the scale of turns, and the curve of segments that should be straight.
+"""The camera against the wheels: the scale of turns, and the curve of segments that should be straight."""
 
-Angles depend on the images alone, so recordings of one drive with other encoders share a ``Sight``.
-"""
-
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -32,40 +29,14 @@ UNKNOWN_STD = 1.0  # Standard deviation of what was not measured
 MIN_EVIDENCE = 8  # Turns or pairs below which nothing is concluded
 
 
-@dataclass
-class Sight:
-    """The angles of one drive's images, each found once."""
-
-    # Hypotheses of a turn by its two images: observation before, and turn image or -1 - observation after
-    turns: dict[tuple[int, int], tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict)
-    # Observations of pairs that look alike (P, 2), the earlier one first; None: not sought yet
-    pairs: np.ndarray | None = None
-    pair_turns: Hypotheses | None = None  # Hypotheses of the angle from the first to the second of a pair
-
-
-def see_turns(recording: Recording, sight: Sight) -> Hypotheses:
+def see_turns(recording: Recording) -> Hypotheses:
     """Hypotheses of all turns (T) of a recording; raises InputError if it has no turns or no polar images."""
     if (turns := turns_with_images(recording)) is None:
         raise InputError(
             f"{recording.folder} has no images after turns (turns.npy), with which the wheels are compared; record "
             "with drive.turn_images and an upward camera"
         )
-    other = np.where(turns.image == NO_IMAGE, -1 - find_next(recording, turns), turns.image)
-    keys = list(zip(turns.before.tolist(), other.tolist(), strict=True))
-    if missing := [number for number, key in enumerate(keys) if key not in sight.turns]:
-        found = find_turns(*take_images(recording, from_array(turns.array[missing])), _lens(recording))
-        for number, *values in zip(missing, found.angle, found.std, found.weight, strict=True):
-            sight.turns[keys[number]] = (values[0], values[1], values[2])
-    return _join([sight.turns[key] for key in keys])
-
-
-def see_pairs(recording: Recording, sight: Sight) -> tuple[np.ndarray, Hypotheses]:
-    """Pairs of observations that look alike (P, 2), and hypotheses of the angle from the first to the second."""
-    if sight.pairs is None or sight.pair_turns is None:
-        sight.pairs = find_alike(recording.observation)
-        one, two = sight.pairs.T
-        sight.pair_turns = find_turns(recording.observation[one], recording.observation[two], _lens(recording))
-    return sight.pairs, sight.pair_turns
+    return find_turns(*take_images(recording, turns), _lens(recording))
 
 
 def find_alike(images: np.ndarray) -> np.ndarray:
@@ -98,16 +69,6 @@ def _lens(recording: Recording) -> Lens:
     return make_lens(SimSettings.model_validate(recording.manifest.settings).camera)
 
 
-def _join(rows: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> Hypotheses:
-    """Hypotheses of several pairs, padded to the greatest number."""
-    most = max((len(angle) for angle, _, _ in rows), default=1)
-    angle, std, weight = (np.full((len(rows), most), fill) for fill in (np.nan, np.nan, 0.0))
-    for place, values in enumerate(rows):
-        for table, value in zip((angle, std, weight), values, strict=True):
-            table[place, : len(value)] = value
-    return Hypotheses(angle, std, weight, np.full((*angle.shape, 2), np.nan))
-
-
 @dataclass(frozen=True)
 class Slope:
     """A ratio by weighted least squares and its standard deviation; ``UNKNOWN_STD`` where there is too little."""
@@ -133,7 +94,7 @@ def fit_slope(x: np.ndarray, y: np.ndarray, std: np.ndarray) -> Slope:
 
 
 def measure_turn_scale(
-    recording: Recording, gaps: Gaps, sight: Sight, slip_per_m: float, step_noise: float
+    recording: Recording, gaps: Gaps, seen: Hypotheses, slip_per_m: float, step_noise: float
 ) -> tuple[Slope, int]:
     """Turns by the wheels over turns by the camera, for turns in place, and the number of turns.
 
@@ -141,7 +102,6 @@ def measure_turn_scale(
     s^2 |a| / b + (w a)^2 + t^2 / (3 b^2).
     """
     turns, track_m = recording.turns, recording.manifest.odometry["track_m"]
-    seen = see_turns(recording, sight)
     assert turns is not None
     gap, reading = turns.after - 1, recording.reading
     wheels = (gaps.distance[gap, 1] - gaps.distance[gap, 0]) / track_m
@@ -163,7 +123,7 @@ def measure_turn_scale(
     return slope, int(used.sum())
 
 
-def measure_curvature(recording: Recording, gaps: Gaps, sight: Sight, scale: float) -> tuple[Slope, int]:
+def measure_curvature(recording: Recording, gaps: Gaps, seen: Hypotheses, scale: float) -> tuple[Slope, int]:
     """Curvature of the segments, to the left [1/m], and the number of pairs of images that tell it.
 
     Two images of one place, a while apart, differ in heading by the turns between them, which the camera knows, and by
@@ -173,7 +133,7 @@ def measure_curvature(recording: Recording, gaps: Gaps, sight: Sight, scale: flo
     turns, reading = recording.turns, recording.reading
     assert turns is not None
     wheels = np.diff(gaps.distance[turns.after - 1])[:, 0] / recording.manifest.odometry["track_m"]
-    found = disambiguate(see_turns(recording, sight), wheels / scale, trust_wheels(turns))
+    found = disambiguate(seen, wheels / scale, trust_wheels(turns))
     step, square, broken = (np.zeros(len(reading)) for _ in range(3))
     broken[1:] = ~gaps.good | ~gaps.inside  # a turn that no image shows; those that one shows follow
     known = np.isfinite(found.angle[:, 0]) & (turns.kind != KINDS.index("relocated"))
@@ -186,7 +146,8 @@ def measure_curvature(recording: Recording, gaps: Gaps, sight: Sight, scale: flo
     distance = np.append(0.0, np.cumsum(np.where(straight, gaps.distance.mean(axis=1), 0.0)))
     row = np.full(len(recording.observation), -1)
     row[reading[::-1, 1]] = np.arange(len(reading))[::-1]  # at a turn: as it was before the turn
-    pairs, angles = see_pairs(recording, sight)
+    pairs = find_alike(recording.observation)
+    angles = find_turns(recording.observation[pairs[:, 0]], recording.observation[pairs[:, 1]], _lens(recording))
     one, two = row[pairs[:, 0]], row[pairs[:, 1]]
     used = (one >= 0) & (two >= 0) & (chain[one] == chain[two]) & np.isfinite(angles.angle[:, 0])
     if used.sum() < MIN_EVIDENCE:

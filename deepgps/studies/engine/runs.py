@@ -5,26 +5,21 @@ import traceback
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from deepgps.config.methods import METHODS
 from deepgps.config.plugins import list_plugins, load_plugins
 from deepgps.config.scenario import Scenario
 from deepgps.methods.train import train
 from deepgps.runs.run_folder import claim, list_trained
-from deepgps.studies.engine.pool import Failures, Tell, attempt, do_all
+from deepgps.studies.engine.pool import Failures, Tell, do_all
 from deepgps.studies.plan import Plan
 from deepgps.terminal.progress import Look, Report
 from sim.errors import InputError, WorkError, one_line
 from sim.files.atomic import write_text
 from sim.plugins import locate_failure
 from sim.processes import usable_cores
-from sim.recording.format import open_recording, read_manifest
-
-if TYPE_CHECKING:
-    from deepgps.diagnosis.turning import Sight
+from sim.recording.format import open_recording
 
 FAILURE = "failure.txt"
 GPU_BYTES = 3 * 2**30
@@ -55,26 +50,20 @@ class RunTask:
 
 @dataclass(frozen=True)
 class DiagnoseTask:
-    """Recordings of the same images to diagnose: the angles that the camera sees are found once."""
+    """A recording to diagnose."""
 
-    runs: Sequence[Path]  # Folder of each run, which gets a ``diagnosis.json``
-    recordings: Sequence[Path]  # Folder of each run's recording
+    run: Path  # Folder of the run, which gets a ``diagnosis.json``
+    recording: Path  # Folder of its recording
+    size: int = 1
 
-    @property
-    def size(self) -> int:
-        """Number of runs."""
-        return len(self.runs)
+    def __call__(self, tell: Tell) -> None:
+        """Diagnose it."""
+        from deepgps.diagnosis.diagnosis import diagnose  # needs torch
+        from deepgps.diagnosis.store import FILE, write_diagnosis
 
-    def __call__(self, tell: Tell) -> str | None:
-        """Diagnose them in order; returns a line for each run that failed, with its name and the reason, or None."""
-        from deepgps.diagnosis.turning import Sight  # needs torch
-
-        sight, lines = Sight(), []
-        for done, (run, folder) in enumerate(zip(self.runs, self.recordings, strict=True), start=1):
-            if reason := attempt(partial(_diagnose, run, folder, sight)):
-                lines.append(f"{run.name} {reason}")
-            tell(done)
-        return "\n".join(lines) or None
+        recording = open_recording(self.recording)
+        self.run.mkdir(parents=True, exist_ok=True)
+        write_diagnosis(self.run / FILE, diagnose(recording), recording)
 
 
 def run_all(plans: Sequence[Plan], folder: Path, progress: Report) -> Failures:
@@ -126,25 +115,10 @@ def do_run(
 
 def diagnose_all(plans: Sequence[Plan], folder: Path, progress: Report) -> Failures:
     """Diagnose the recordings of runs and write ``runs/<run>/diagnosis.json``; takes the arguments of ``run_all``."""
-    from deepgps.diagnosis.store import read_diagnosis
-
-    recordings, groups = folder / "recordings", dict[str, list[Plan]]()
-    for plan in plans:
-        groups.setdefault(_name_images(recordings / plan.recording), []).append(plan)
     tasks = {
-        images: DiagnoseTask(
-            [folder / "runs" / plan.run for plan in group], [recordings / plan.recording for plan in group]
-        )
-        for images, group in groups.items()
+        plan.run: DiagnoseTask(folder / "runs" / plan.run, folder / "recordings" / plan.recording) for plan in plans
     }
-    failed = do_all(tasks, usable_cores(), lambda done: progress("diagnose", done, len(plans)))
-    failures = Failures()
-    for images, text in failed.items():
-        reasons = dict(line.split(" ", 1) for line in text.splitlines())
-        for plan in groups[images]:
-            if read_diagnosis(folder / "runs" / plan.run) is None:
-                failures[plan.run] = reasons.get(plan.run, text)  # if its process died, that is the reason of all
-    return failures
+    return do_all(tasks, usable_cores(), lambda done: progress("diagnose", done, len(plans)))
 
 
 def count_workers(plans: Sequence[Plan]) -> int:
@@ -167,21 +141,3 @@ def count_steps(scenario: Scenario, folder: Path) -> int:
     """Number of training steps that a run lacks, without restarts; at least one, so that every run counts."""
     missing = set(scenario.methods) - set(list_trained(folder))
     return max(1, scenario.learn.train.steps * sum(METHODS[method].in_steps for method in missing))
-
-
-def _diagnose(run: Path, folder: Path, sight: "Sight") -> None:
-    from deepgps.diagnosis.diagnosis import diagnose
-    from deepgps.diagnosis.store import FILE, write_diagnosis
-
-    recording = open_recording(folder)
-    run.mkdir(parents=True, exist_ok=True)
-    write_diagnosis(run / FILE, diagnose(recording, sight), recording)
-
-
-def _name_images(folder: Path) -> str:
-    """Checksums of a recording's images; its folder, if it cannot be read."""
-    try:
-        files = read_manifest(folder).sha256
-    except (InputError, OSError):
-        return str(folder)
-    return " ".join(files[name] for name in sorted(files) if name.startswith("observations/"))

@@ -9,7 +9,6 @@ import pytest
 from deepgps.diagnosis.diagnosis import Diagnosis, Estimate, apply_diagnosis, diagnose
 from deepgps.diagnosis.findings import correct, find_faults
 from deepgps.diagnosis.store import FILE, diagnose_once, read_diagnosis, take_diagnosed
-from deepgps.diagnosis.turning import Sight
 from deepgps.reports.wheels_page import NO_FAULT_NOTE, TOO_SHORT_NOTE, UNKNOWN_SCALE_NOTE, write_markdown
 from sim.errors import InputError
 from sim.geometry import wrap
@@ -23,11 +22,6 @@ from sim.settings import EncoderSettings
 @pytest.fixture(scope="module")
 def recording(small_recording: Path) -> Recording:
     return open_recording(small_recording)
-
-
-@pytest.fixture(scope="module")
-def sight() -> Sight:
-    return Sight()
 
 
 def derive(recording: Recording, **faults: float) -> Recording:
@@ -50,8 +44,8 @@ def names(diagnosis: Diagnosis) -> list[str]:
     return [finding.fault for finding in find_faults(diagnosis)]
 
 
-def test_wheels_without_faults_raise_no_alarm(recording: Recording, sight: Sight):
-    diagnosis = diagnose(recording, sight)
+def test_wheels_without_faults_raise_no_alarm(recording: Recording):
+    diagnosis = diagnose(recording)
     assert names(diagnosis) == []
     assert NO_FAULT_NOTE in write_markdown(diagnosis)
     assert UNKNOWN_SCALE_NOTE in write_markdown(diagnosis)
@@ -75,9 +69,9 @@ def test_wheels_without_faults_raise_no_alarm(recording: Recording, sight: Sight
     ids=lambda value: value if isinstance(value, str) else None,
 )
 def test_a_fault_is_named_alone_and_its_size_is_told(
-    recording: Recording, sight: Sight, faults: dict, fault: str, quantity: str, truth: float
+    recording: Recording, faults: dict, fault: str, quantity: str, truth: float
 ):
-    diagnosis = diagnose(derive(recording, **faults), sight)
+    diagnosis = diagnose(derive(recording, **faults))
     assert names(diagnosis) == [fault]
     estimate = diagnosis.quantities[quantity]
     half = max((estimate.high - estimate.low) / 2, 1e-3 * truth)  # one draw may lie just outside
@@ -85,23 +79,23 @@ def test_a_fault_is_named_alone_and_its_size_is_told(
     assert abs(estimate.value - truth) < 0.2 * truth
 
 
-def test_one_wheel_explains_turns_too_so_the_track_width_stays(recording: Recording, sight: Sight):
-    fix = correct(diagnose(derive(recording, radius_error_left=0.1), sight))
+def test_one_wheel_explains_turns_too_so_the_track_width_stays(recording: Recording):
+    fix = correct(diagnose(derive(recording, radius_error_left=0.1)))
     assert (fix.readings, fix.exact, fix.track, fix.right) == ("left", True, 1.0, 1.0)
     assert abs(fix.left - 1 / 1.1) < 2e-3
 
 
-def test_radii_that_are_wrong_alike_change_turns_as_the_track_width_does(recording: Recording, sight: Sight):
-    alike = diagnose(derive(recording, radius_error_left=0.05, radius_error_right=0.05), sight)
-    track = diagnose(derive(recording, track_error=1 / 1.05 - 1), sight)
+def test_radii_that_are_wrong_alike_change_turns_as_the_track_width_does(recording: Recording):
+    alike = diagnose(derive(recording, radius_error_left=0.05, radius_error_right=0.05))
+    track = diagnose(derive(recording, track_error=1 / 1.05 - 1))
     assert names(alike) == names(track) == ["track"]
     assert alike.turn_scale.value == pytest.approx(track.turn_scale.value, rel=1e-3)
     assert "or both radii are too large" in write_markdown(alike)
 
 
-def test_set_as_told_the_wheels_are_right(recording: Recording, sight: Sight):
+def test_set_as_told_the_wheels_are_right(recording: Recording):
     wrong = derive(recording, radius_error_left=0.05, track_error=0.1)
-    fix, odometry = correct(diagnose(wrong, sight)), wrong.manifest.odometry
+    fix, odometry = correct(diagnose(wrong)), wrong.manifest.odometry
     assert not fix.exact
     turned = np.diff(wrong.reading[:, 2:], axis=0) * [fix.left, fix.right]
     radius_m, track_m = odometry["wheel_radius_m"], odometry["track_m"] * fix.track
@@ -115,14 +109,12 @@ def test_set_as_told_the_wheels_are_right(recording: Recording, sight: Sight):
     assert np.abs(off).max() < np.radians(1.0)
 
 
-def test_methods_take_what_was_diagnosed_from_a_file_that_is_made_once(
-    recording: Recording, sight: Sight, tmp_path: Path
-):
+def test_methods_take_what_was_diagnosed_from_a_file_that_is_made_once(recording: Recording, tmp_path: Path):
     noisy = derive(recording, step_noise=0.02, track_error=0.1)
     told, said = take_diagnosed(noisy, tmp_path)
     stored = read_diagnosis(tmp_path, noisy)
     assert stored is not None
-    assert stored == diagnose(noisy, sight) == diagnose_once(noisy, tmp_path)
+    assert stored == diagnose(noisy) == diagnose_once(noisy, tmp_path)
     assert said["diagnosed"]["step_noise"] == told.manifest.odometry["step_noise"] == stored.step_noise.value
     assert abs(told.manifest.odometry["track_m"] / recording.manifest.odometry["track_m"] - 1) < 0.01
     assert read_diagnosis(tmp_path, recording) is None, "it is of another recording"
