@@ -6,13 +6,13 @@ from typing import Any, Literal
 from deepgps.config.scenario import Scenario
 from deepgps.evaluation.measure_run import evaluate
 from deepgps.methods.train import ask_for_device, make_judge, train
-from deepgps.runs.collect import collect, draw_views
+from deepgps.runs.collect import collect
 from deepgps.runs.provenance import timed
 from deepgps.runs.run_folder import claim
 from deepgps.runs.source import link_recording
 from deepgps.terminal.progress import Report
 from sim.files.checksums import is_intact
-from sim.recording.format import has_truth, read_manifest
+from sim.recording.format import has_truth
 
 Stage = Literal["collect", "train", "evaluate", "show"]
 
@@ -39,14 +39,13 @@ def run(
             return None
         metrics = evaluate(scenario, place, progress)
         if metrics is not None and last == "show":
-            show(scenario, place, progress)
+            show(place, progress)
     return metrics
 
 
-def show(scenario: Scenario, folder: Path, progress: Report) -> None:
+def show(folder: Path, progress: Report) -> None:
     """Draw the figures and write the Rerun recording."""
     from deepgps.reports.run_figures import draw_figures
-    from deepgps.viewer.pictures import PICTURES, choose_views, write_pictures
     from deepgps.viewer.run import find_recording, write_run
 
     path = folder / "run.rrd"
@@ -56,15 +55,8 @@ def show(scenario: Scenario, folder: Path, progress: Report) -> None:
         find_recording(folder)
     else:
         with timed(folder, "show"):
-            progress("show", 0, 3)
+            progress("show", 0, 2)
             draw_figures(folder)
-            progress("show", 1, 3)
-            simulated = read_manifest(folder / "recording").seed is not None  # of other drives the room is not known
-            draws = simulated and scenario.world == "room" and scenario.observation == "polar_image"
-            if draws and not (folder / PICTURES).is_file():
-                observation, poses = choose_views(folder)
-                if (pictures := draw_views(scenario, poses)) is not None:
-                    write_pictures(folder, observation, pictures)
-            progress("show", 2, 3)
+            progress("show", 1, 2)
             write_run(folder)
-            progress("show", 3, 3)
+            progress("show", 2, 2)

@@ -18,8 +18,7 @@ from PIL import Image
 from deepgps.config.methods import folder_of
 from deepgps.evaluation.stored_alignment import read_alignment
 from deepgps.viewer.drive import camera_of
-from deepgps.viewer.navigation import ROUND_PX
-from deepgps.viewer.pictures import make_warp, warp_round
+from deepgps.viewer.pictures import ROUND_PX, make_warp, warp_round
 from sim.alignment import Alignment
 from sim.files.atomic import write_bytes
 from sim.files.checksums import read_arrays

@@ -14,7 +14,7 @@ from deepgps.runs.run_folder import find_place
 from deepgps.runs.shared_drive import find_base, find_training_drive, keep_drive
 from deepgps.runs.source import find_adopted
 from deepgps.terminal.progress import Report
-from sim.errors import DamagedError, InputError, WorkError
+from sim.errors import DamagedError
 from sim.recording.derive import derive
 from sim.recording.format import Judge, check_recording, is_whole
 from sim.sensors.catalog import SENSORS, list_carried
@@ -105,20 +105,6 @@ def write_log(scenario: Scenario, folder: Path, path: Path, progress: Report) ->
     from sim.robot_log.log import write_log as write
 
     write(path, scenario.sim, scenario.seed, folder / "recording", digest_recording(scenario), progress)
-
-
-def draw_views(scenario: Scenario, poses: np.ndarray) -> np.ndarray | None:
-    """Draw large fisheye pictures (n, rows, columns, 3) at poses (n, 3); None if this machine cannot draw the room."""
-    from sim.sensors.camera.gl import choose_backend
-
-    try:
-        choose_backend()
-        from sim.tools.gallery import draw_round
-
-        return draw_round(scenario.sim, poses)
-    except (InputError, WorkError) as error:
-        log.info("the viewer goes without large pictures: %s", error)
-        return None
 
 
 def find_parts(settings: SimSettings) -> tuple[np.ndarray, np.ndarray]:

@@ -16,9 +16,9 @@ from deepgps.evaluation.stored_alignment import read_alignment
 from deepgps.evaluation.track_run import FOLDER, take_in_world
 from deepgps.reports.plots import colours_of
 from deepgps.tracking.track import PATHS, read_track
-from deepgps.viewer.drive import MAX_IMAGES, ODOMETRY_COLOUR, RIGHT_COLOUR, ROUND_PX, TRUE_COLOUR, camera_of, log_polar
+from deepgps.viewer.drive import MAX_IMAGES, ODOMETRY_COLOUR, RIGHT_COLOUR, TRUE_COLOUR, camera_of
 from deepgps.viewer.error_field import REFUSED_RGBA, log_field
-from deepgps.viewer.pictures import make_warp
+from deepgps.viewer.pictures import log_polar
 from deepgps.viewer.scene import LAYER_M, lift
 from deepgps.viewer.stream import DEPLOYMENT, Span, deployment_clock, send_rows, send_series
 from sim.recording.format import Recording, open_truth
@@ -72,5 +72,4 @@ def log_deployment(
     if drive.kind == "polar_image":
         images, time = drive.observation, np.asarray(drive.observation_time)
         step = -(-len(images) // MAX_IMAGES)
-        warp = make_warp(camera_of(drive), images.shape[1], images.shape[2], ROUND_PX)
-        log_polar(stream, map(np.asarray, images[::step]), warp, clock(time[::step]), DEPLOYMENT)
+        log_polar(stream, np.asarray(images[::step]), camera_of(drive), clock(time[::step]), DEPLOYMENT)

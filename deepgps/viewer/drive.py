@@ -3,7 +3,6 @@
 The same functions log a finished drive and, part by part, one that is being collected.
 """
 
-from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,7 @@ from deepgps.data.segments import find_lasts, find_starts
 from deepgps.diagnosis.store import read_diagnosis
 from deepgps.evaluation.segment_errors import measure_distances, measure_segments, reckon_path
 from deepgps.reports.wheels_page import describe_encoders, draw_segments, write_markdown
-from deepgps.viewer.pictures import LARGE_ENTITY, encode_jpeg, log_figure, log_jpegs, make_warp, warp_round
+from deepgps.viewer.pictures import POLAR_PICTURES, log_figure, log_jpegs, log_polar
 from deepgps.viewer.scene import LAYER_M, lift
 from deepgps.viewer.stream import Clock, Rows, drive_clock, put_text, send_rows, send_series
 from sim.recording.format import Recording, Truth
@@ -29,9 +28,6 @@ WRONG_COLOUR: Colour = (232, 37, 79)
 RIGHT_COLOUR: Colour = (63, 208, 165)
 ODOMETRY_COLOUR: Colour = (255, 150, 40)
 MAX_IMAGES = 4_000  # more pictures than anyone plays; keeps a long drive's file small
-ROUND_PX = 144
-POLAR_PICTURES = {"fisheye": "Fisheye", "polar": "Polar image, zenith at the top"}
-"""Pictures of a polar image by name, with their titles."""
 DIAGNOSIS = "encoders/diagnosis"
 NO_DIAGNOSIS = (
     "No diagnosis of the wheels has been made: `deepgps diagnose` makes one, and so do the methods that learn with it, "
@@ -39,26 +35,14 @@ NO_DIAGNOSIS = (
 )
 
 
-def log_drive(stream: rr.RecordingStream, recording: Recording, truth: Truth, large: dict[int, bytes]) -> None:
-    """Log a finished drive, with large pictures in JPEG by observation."""
-    segment, observation, *_ = recording.reading.T
-    seen, first = np.unique(observation, return_index=True)
+def log_drive(stream: rr.RecordingStream, recording: Recording, pose: np.ndarray) -> None:
+    """Log a finished drive along its poses at each reading (R, 3) [m, m, rad], true or dead-reckoned."""
+    _, first = np.unique(recording.reading[:, 1], return_index=True)
     log_robot(stream, find_track_m(recording), camera_of(recording).height_m)
-    log_poses(stream, truth.pose[seen], drive_clock(recording.time[first]))
-    log_path(stream, "world/drive", segment, truth.pose[observation, :2], (TRUE_COLOUR, LEG_COLOUR), recording.time)
-    encoder, true = measure_distances(recording, truth.pose)
-    for path, values, label, colour in (
-        ("distance/encoder", encoder, "by encoder", ODOMETRY_COLOUR),
-        ("distance/truth", true, "true", TRUE_COLOUR),
-        ("segment_error", 1000 * (encoder - true), "encoder minus truth", WRONG_COLOUR),
-    ):
-        send_series(stream, f"drive/{path}", drive_clock(recording.time), values, label, colour)
+    log_poses(stream, pose[first], drive_clock(recording.time[first]))
+    log_path(stream, "world/drive", recording.reading[:, 0], pose[:, :2], (TRUE_COLOUR, LEG_COLOUR), recording.time)
     log_ticks(stream, recording)
     log_images(stream, recording)
-    if large:
-        shown = [number for number in large if number in set(seen.tolist())]
-        time = recording.time[first[np.searchsorted(seen, shown)]]
-        log_jpegs(stream, f"drive/{LARGE_ENTITY}", (large[number] for number in shown), drive_clock(time))
 
 
 def log_robot(stream: rr.RecordingStream, track_m: float, height_m: float) -> None:
@@ -116,9 +100,7 @@ def log_images(stream: rr.RecordingStream, recording: Recording) -> None:
     step = -(-len(seen) // MAX_IMAGES)
     seen, at = seen[::step], drive_clock(recording.time[first[::step]])
     if recording.kind == "polar_image":
-        rings, sectors = recording.observation.shape[1:3]
-        warp = make_warp(camera_of(recording), rings, sectors, ROUND_PX)
-        log_polar(stream, (np.asarray(recording.observation[number]) for number in seen), warp, at)
+        log_polar(stream, np.asarray(recording.observation[seen]), camera_of(recording), at)
     if recording.kind == "scan":
         scans = np.asarray(recording.observation[seen, 0])
         angle = 2.0 * np.pi * np.arange(scans.shape[1]) / scans.shape[1]
@@ -128,16 +110,7 @@ def log_images(stream: rr.RecordingStream, recording: Recording) -> None:
     for name in _find_images(recording):
         grey = recording.others[name]
         coloured = (np.repeat(grey[number][..., None], 3, axis=2) for number in seen)
-        log_jpegs(stream, f"drive/{name}", map(encode_jpeg, coloured), at)
-
-
-def log_polar(
-    stream: rr.RecordingStream, images: Iterable[np.ndarray], warp: np.ndarray, at: Rows, root: str = "drive"
-) -> None:
-    """Log polar images (rings, sectors, 3) at so many times, as they are and as round pictures."""
-    pairs = [(encode_jpeg(image), encode_jpeg(warp_round(image, warp))) for image in images]
-    for name, blobs in zip(("polar", "fisheye"), zip(*pairs, strict=True), strict=True):
-        log_jpegs(stream, f"{root}/{name}", blobs, at)
+        log_jpegs(stream, f"drive/{name}", coloured, at)
 
 
 def find_pictures(recording: Recording) -> dict[str, str]:
@@ -159,7 +132,8 @@ def log_ticks(stream: rr.RecordingStream, recording: Recording) -> None:
 
 
 def log_encoders(stream: rr.RecordingStream, recording: Recording, truth: Truth) -> None:
-    """Log the dead-reckoned path, its distance from the true path, and the errors of segments as text and figure."""
+    """Log the errors of segments along the drive, as text and figure, and the dead-reckoned path with its drift."""
+    encoder, travelled = measure_distances(recording, truth.pose)
     true, reckoned = truth.pose[recording.reading[:, 1], :2], reckon_path(recording, truth.pose)
     drift = np.linalg.norm(reckoned - true, axis=1)
     root, at = "world/reckoned", drive_clock(recording.time)
@@ -169,6 +143,8 @@ def log_encoders(stream: rr.RecordingStream, recording: Recording, truth: Truth)
     ends = {"strips": np.stack([lift(true, 4 * LAYER_M), lift(reckoned, 4 * LAYER_M)], axis=1)}
     send_rows(stream, f"{root}/drift", rr.LineStrips3D, at, ends, {"radii": 0.012, "colors": WRONG_COLOUR})
     send_series(stream, "encoders/drift", at, drift, "dead-reckoning drift", WRONG_COLOUR)
+    error_mm = 1000 * (encoder - travelled)
+    send_series(stream, "drive/segment_error", at, error_mm, "encoder minus truth", WRONG_COLOUR)
     put_text(stream, "encoders/faults", describe_encoders(recording, truth.pose, drift))
     log_figure(stream, "encoders/segments", draw_segments(*measure_segments(recording, truth.pose)))
 

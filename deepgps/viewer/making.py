@@ -18,7 +18,19 @@ from deepgps.evaluation.map_errors import read_known_map
 from deepgps.initial_map.stored_map import StoredMap
 from deepgps.reports import plots
 from deepgps.viewer.scene import LAYER_M, colours_of_places, draw_ellipses, lift
-from deepgps.viewer.stream import Rows, Span, find_span, making_rows, put, put_text, send_rows, send_series, step_rows
+from deepgps.viewer.stream import (
+    MAP_STAGE,
+    STEP,
+    Rows,
+    Span,
+    find_span,
+    put,
+    put_text,
+    send_rows,
+    send_series,
+    stay_rows,
+    step_rows,
+)
 from sim.alignment import Alignment, fit_alignment
 from sim.recording.format import Recording
 
@@ -36,12 +48,9 @@ LEGEND = (
 )
 
 
-def find_map(run: Path, methods: Iterable[str]) -> tuple[str | None, StoredMap | None]:
-    """The first of the methods that kept its initial map, and the map; None twice if there is none."""
-    for method in methods:
-        if (stored := read_known_map(folder_of(run, method))) is not None:
-            return method, stored
-    return None, None
+def find_map(run: Path, methods: Iterable[str]) -> StoredMap | None:
+    """The initial map of the first of the methods that kept it; None if none did."""
+    return next((stored for name in methods if (stored := read_known_map(folder_of(run, name))) is not None), None)
 
 
 def log_making(stream: rr.RecordingStream, stored: StoredMap, recording: Recording, place: np.ndarray | None) -> None:
@@ -54,7 +63,7 @@ def log_making(stream: rr.RecordingStream, stored: StoredMap, recording: Recordi
     rows = np.split(recording.reading[:, 1], np.flatnonzero(np.diff(segment)) + 1)
     last = len(stored.stage) - 1
     for stage in range(last + 1):
-        at = making_rows(stage, last, find_span(recording))
+        at = stay_rows(MAP_STAGE, [stage], find_span(recording))
         own = fit_alignment(stored.stage_places[stage][known].astype(float), final[known], "SE2")
         places = own.apply(stored.stage_places[stage].astype(float))
         heading = own.turn(stored.stage_heading[stage].astype(float))
@@ -150,7 +159,7 @@ def _describe(stored: StoredMap, stage: int, off_m: float | None) -> list[str]:
 def training_rows(history: History, span: Span) -> tuple[Rows, Rows]:
     """Rows along the timelines for a training's losses, and for its snapshots."""
     last = max(int(history["step"][-1]), int(history["snapshot_step"][-1]), 1)
-    return step_rows(history["step"], last, span), step_rows(history["snapshot_step"], last, span)
+    return step_rows(history["step"], last, span), stay_rows(STEP, history["snapshot_step"], span)
 
 
 def log_loss(stream: rr.RecordingStream, name: str, history: History, at: Rows, first: int = 0) -> None:

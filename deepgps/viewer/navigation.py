@@ -12,15 +12,15 @@ from deepgps.learning.trainer import use_threads
 from deepgps.navigation.simulate import IMAGE_GOALS, TRUE_POSE, WHEELS
 from deepgps.positioner.stored_positioner import load_positioner
 from deepgps.viewer.drive import TRUE_COLOUR, camera_of, find_track_m, log_poses, log_robot
-from deepgps.viewer.layout import aim_eye, arrange, play, room_view, series_view
-from deepgps.viewer.pictures import encode_jpeg, log_jpegs, make_warp, warp_round
+from deepgps.viewer.layout import aim_eye, arrange, follow, room_view, series_view
+from deepgps.viewer.pictures import log_round
 from deepgps.viewer.scene import LAYER_M, draw_ellipses, lift, log_room
 from deepgps.viewer.stream import DRIVE_TIME, Rows, Shapes, hash_files, save_recording, send_series, send_shapes
+from sim.geometry import limits
 from sim.recording.format import open_recording, open_truth
 
 ROOT = "world/navigate"
 OWN_COLOUR, ROUTE_COLOUR, GOAL_COLOUR = (240, 80, 120), (255, 196, 60), (63, 208, 165)
-ROUND_PX = 256  # Side of the round pictures [px]
 DEVIATIONS = 3.0  # Standard deviations that the ellipse shows
 PAUSE_S = 1.0  # Time between two drives on the timeline [s]
 
@@ -43,7 +43,6 @@ def write_drives(run: Path, driven: Driven) -> Path:
     spread = DEVIATIONS**2 * world.rotation @ log["covariance"][rows] @ world.rotation.T
     now = np.clip(np.searchsorted(time_s, seen_s), 0, len(time_s) - 1)
     matched = recording.observation[places.query(np.nan_to_num(log["estimated"][rows, :2][now]))[1]]
-    warp = make_warp(camera, camera.rings, camera.sectors, ROUND_PX)
 
     def at(seconds: np.ndarray) -> Rows:
         return [rr.TimeColumn(DRIVE_TIME, duration=seconds)]
@@ -66,17 +65,17 @@ def write_drives(run: Path, driven: Driven) -> Path:
         error_cm = 100 * np.linalg.norm(own - true[:, :2], axis=1)
         send_series(stream, "error", at(time_s), error_cm, "own position minus true [cm]", OWN_COLOUR)
         for entity, pictures in (("image", log["image"]), ("matched", matched)):
-            log_jpegs(stream, entity, (encode_jpeg(warp_round(np.asarray(one), warp)) for one in pictures), at(seen_s))
+            log_round(stream, entity, np.asarray(pictures), camera, at(seen_s))
 
     said = "Robot, its own position with 3 deviations (red), route (yellow), goal (green)"
     shown_paths = ["room", "floor_plan", "outline", "drive/**", "navigate/**"]
-    room = room_view(said, shown_paths, aim_eye(space, tilt=0.45, reach=1.2, before=-0.3))
+    room = room_view(said, shown_paths, aim_eye(limits(space), tilt=0.45, reach=1.2, before=-0.3))
     beside = rrb.Vertical(
         rrb.Spatial2DView(name="Image", origin="image"),
         rrb.Spatial2DView(name="Nearest image on its map", origin="matched"),
         series_view("Own position minus true [cm]", "error"),
     )
-    layout = arrange([rrb.Horizontal(room, beside, column_shares=[5, 2], name="Drives")], play(DRIVE_TIME))
+    layout = arrange([rrb.Horizontal(room, beside, column_shares=[5, 2], name="Drives")], follow(DRIVE_TIME))
     number = hash_files(driven.folder, [path.with_suffix(".npz")])
     save_recording(path, number, f"{run.name}: {name}", layout, log_all)
     return path

@@ -1,7 +1,6 @@
-"""The static entities below ``world``: the room, its floor plan, the colour scale.
+"""The static entities below ``world``: the room, its floor plan with metres along its sides, the colour scale.
 
-In a study they change along its timelines: a function with the argument ``at``, places on timelines, logs an entity
-that is valid from these places on.
+In a study the plan changes: a function with the argument ``at``, places on timelines, logs what is valid from there on.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,9 +21,11 @@ from sim.geometry import FreeSpace, limits
 LAYER_M = 0.01  # height of one drawn layer above the next
 SCALE_COLOURS = 65  # colours along a scale
 ELLIPSE_POINTS = 37
+MAX_METRES = 12  # Numbers along a side of the floor
+LABEL_COLOUR = (140, 140, 140)  # Legible on labels of the dark and of the light theme
 WALL_SHARE = 0.2  # Share of their height with which walls between rooms are drawn
 STILL_BEHAVIOUR = rrb.EntityBehavior(interactive=False)
-BACKDROP = ("room", "floor_plan", "outline", "scale")
+BACKDROP = ("room", "floor_plan", "outline", "metres", "scale")
 """Entities that cannot tell anything and so do not catch the pointer."""
 
 
@@ -37,7 +38,7 @@ def log_room(stream: rr.RecordingStream, scene: Path, space: FreeSpace, root: st
 
 
 def log_floor(stream: rr.RecordingStream, space: FreeSpace, at: Rows = (), root: str = "world") -> None:
-    """Log the floor plan and the outline of what the robot can reach."""
+    """Log the floor plan, the outline of what the robot can reach, and numbers of metres along two sides."""
     plan, corner = draw_floor_plan(space)
     put(
         stream,
@@ -54,6 +55,17 @@ def log_floor(stream: rr.RecordingStream, space: FreeSpace, at: Rows = (), root:
     )
     strips = [lift(line, 0.0) for line in find_outline(space)]
     put(stream, f"{root}/outline", rr.LineStrips3D(strips, radii=0.008, colors=[120, 130, 150]), at)
+    (west, south), (east, north) = limits(space)
+    step = max(1, round(max(east - west, north - south) / MAX_METRES))
+    x, y = (np.arange(np.ceil(low / step) * step, high, step) for low, high in ((west, east), (south, north)))
+    places = [*((one, north + 0.3, 0.0) for one in x), *((west - 0.2, one, 0.0) for one in y)]
+    numbers = [f"{one:g} m" for one in (*x, *y)]
+    put(
+        stream,
+        f"{root}/metres",
+        rr.Points3D(places, radii=0.0, colors=LABEL_COLOUR, labels=numbers, show_labels=True),
+        at,
+    )
 
 
 def log_scale(
@@ -85,8 +97,7 @@ def log_strip(
     stream.log(path, mesh, static=True)
     share = np.array(list(labels))
     points = lift(np.stack([left + share * width, np.full(len(share), bottom - 0.08)], axis=1), 0.0)
-    at = colours[np.rint(share * (SCALE_COLOURS - 1)).astype(int)]
-    ticks = rr.Points3D(points, radii=0.015, colors=at, labels=list(labels.values()), show_labels=True)
+    ticks = rr.Points3D(points, radii=0.015, colors=LABEL_COLOUR, labels=list(labels.values()), show_labels=True)
     stream.log(f"{path}/ticks", ticks, static=True)
 
 

@@ -19,7 +19,7 @@ from rerun.experimental import ViewerClient
 
 from deepgps.runs.run_folder import VIEWED, is_study
 from deepgps.viewer.connect import HOST, find_free_port, has_display, send_file, start_viewer, url_of, wait_for_port
-from deepgps.viewer.read import open_rrd
+from deepgps.viewer.stream import open_rrd
 from sim.errors import InputError, WorkError
 from sim.files.atomic import write_bytes
 from sim.files.checksums import is_intact

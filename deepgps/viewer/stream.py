@@ -1,26 +1,26 @@
-"""Logging along timelines, and saving: atomically, without wall-clock time, and equal contents for equal runs.
+"""Logging along timelines, saving and opening: without wall-clock time, and equal contents for equal runs.
 
 The timelines of a run are ``drive_time`` [s], ``step`` of training, ``making`` (stages of the initial map), ``place``,
-which ends with the worst place, and ``deployment`` [s]. All of them also go through the time of the drive, so that its
-slider changes every tab. A run in progress has ``run_time`` [s] alone.
+which begins with the worst place, and ``deployment`` [s]. Whatever the time of the drive, the worst place and the final
+maps are shown; plots go through it. A run in progress has ``run_time`` [s] alone.
 """
 
 import hashlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
+from warnings import catch_warnings, simplefilter
 
 import numpy as np
 import pyarrow as pa
 import rerun as rr
 import rerun.blueprint as rrb
+from rerun.chunk import RrdReader
 
-from deepgps.viewer.read import open_rrd
 from sim.errors import InputError
 from sim.files.atomic import write_bytes
-from sim.files.checksums import check_sum, drop_sum, sha256, write_sum
+from sim.files.checksums import drop_sum, sha256, write_sum
 from sim.recording.format import Recording
 
 DRIVE_TIME, STEP, MAP_STAGE, PLACE, DEPLOYMENT = "drive_time", "step", "making", "place", "deployment"
@@ -124,19 +124,13 @@ def deployment_clock(drive: Recording, span: Span) -> Clock:
 
 
 def step_rows(step: np.ndarray, last: int, span: Span) -> Rows:
-    """Rows at steps of a training (n,) with so many."""
+    """Rows at steps of a training (n,) with so many, for a plot."""
     return _spread(rr.TimeColumn(STEP, sequence=step), np.asarray(step) / last, span)
 
 
-def making_rows(stage: int, last: int, span: Span) -> Rows:
-    """The row of one stage of a map's making, numbered from 0 to ``last``."""
-    return _spread(rr.TimeColumn(MAP_STAGE, sequence=[stage]), np.array([stage / max(last, 1)]), span)
-
-
-def place_rows(count: int, span: Span) -> Rows:
-    """Rows for some places, the worst first; it is at the end of both timelines, where the viewer opens them."""
-    place = np.arange(count, 0, -1)  # not from -1 down: at negative times, the viewer shows no pictures
-    return _spread(rr.TimeColumn(PLACE, sequence=place), (place - 1) / max(count - 1, 1), span)
+def stay_rows(timeline: str, sequence: Sequence[int] | np.ndarray, span: Span) -> Rows:
+    """Rows at places (n,) on a timeline; the one that is logged last is shown at all times of the drive."""
+    return [rr.TimeColumn(timeline, sequence=sequence), rr.TimeColumn(DRIVE_TIME, duration=[span[0]] * len(sequence))]
 
 
 def show_until_now(timeline: str = DRIVE_TIME, seconds: float | None = None) -> list[rrb.VisibleTimeRange]:
@@ -177,12 +171,19 @@ def hash_files(folder: Path, paths: Iterable[Path]) -> str:
     return state.hexdigest()[:32]
 
 
-def holds(path: Path, number: str) -> bool:
-    """Whether the file is an intact recording with this id."""
-    with suppress(InputError):
-        check_sum(path)
-        return [one.recording_id for one in open_rrd(path).recordings()] == [number]
-    return False
+def open_rrd(path: Path) -> RrdReader:
+    """Open a recording; raise InputError if the file is missing, truncated or not a recording."""
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    try:
+        with catch_warnings():
+            simplefilter("ignore")  # the InputError below says the same
+            reader = RrdReader(path)
+            reader.store().schema()  # needs the footer, which a truncated file lacks
+    except Exception as error:  # rerun raises ValueError, RuntimeError and its own types
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise InputError(f"{path} is truncated or no recording ({reason}); delete it and view the run again") from None
+    return reader
 
 
 def _spread(column: rr.TimeColumn, share: np.ndarray, span: Span) -> Rows:

@@ -28,7 +28,6 @@ ROW_PX = 330
 PERSPECTIVE_PX = 560
 TOP_VIEW_PX = 430
 POLAR_PX = 520
-ROUND_IMAGE_PX = 512
 LABEL_PX = 26
 MARGIN_PX = 6
 MIN_CEILING_M = 1.8
@@ -199,19 +198,3 @@ def find_parts(settings: RoomSettings) -> tuple[np.ndarray, np.ndarray]:
     spec = build_room(settings)
     rooms = [site.pos[:2] for site in spec.sites if site.name.startswith(ROOM_MARK)]
     return np.array(rooms), np.array([body.pos[:2] for body in spec.bodies if body.name.startswith("doorway")])
-
-
-def draw_round(settings: SimSettings, poses: np.ndarray, size_px: int = ROUND_IMAGE_PX) -> np.ndarray:
-    """Round pictures (n, size_px, size_px, 3) uint8 RGB of the room in training, at poses (n, 3) x, y [m], yaw [rad].
-
-    A picture is black outside the rim. Raises InputError if the room cannot be built, WorkError if no OpenGL context
-    can be opened.
-    """
-    world = RoomWorld(settings.model_copy(update={"deployment": DeploymentSettings()}))
-    pictures = np.empty((len(poses), size_px, size_px, 3), np.uint8)
-    with Fisheye(world.model, settings.camera.model_copy(update={"face_px": size_px // 2})) as camera:
-        for picture, state in zip(pictures, world.rest_states(poses), strict=True):
-            world.data.qpos[:] = state
-            mujoco.mj_kinematics(world.model, world.data)
-            picture[:] = camera.round(world.data, size_px)
-    return pictures

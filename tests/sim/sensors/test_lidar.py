@@ -11,7 +11,7 @@ import pytest
 
 from deepgps.runs.run_folder import VIEWED
 from deepgps.viewer.drive import ROBOT
-from deepgps.viewer.read import open_rrd
+from deepgps.viewer.stream import open_rrd
 from sim.recording.collect import collect
 from sim.recording.format import check_recording, open_recording, open_truth
 from sim.robot.chassis import compile_scene

@@ -15,7 +15,7 @@ from deepgps.studies.reports.pictures import draw_fields
 from deepgps.studies.reports.record import Fields
 from deepgps.studies.study import load_study
 from deepgps.terminal.progress import ignore
-from deepgps.viewer.read import open_rrd
+from deepgps.viewer.stream import open_rrd
 from sim.errors import InputError
 from sim.files.checksums import read_json
 from tests.helpers.blueprints import read_error_field
