@@ -10,8 +10,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import Literal
-from urllib.parse import urlsplit
 
 import rerun as rr
 
@@ -19,44 +17,29 @@ from sim.errors import InputError, WorkError, one_line
 
 HOST = "127.0.0.1"  # everything that listens here is for this machine alone
 ANSWER_S = 1.5
-CLIENT_PREFACE = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes((0, 0, 0, 4, 0, 0, 0, 0, 0))
-"""The opening of an HTTP/2 client: a fixed text and a settings frame, here empty. The server opens with a frame too."""
+LOST_VIEWER_ERRORS = (RuntimeError, ConnectionError)  # Errors that rerun raises when no viewer answers
 OPENING_S, SENDING_S = 60.0, 600.0
 NO_WINDOW = "the Rerun viewer cannot open a window; without a display, --live HOST:PORT streams to a viewer elsewhere"
 
 
-def find_url(address: str) -> str:
-    """URL of the viewer that answers at ``host:port`` or at a Rerun URL; raises InputError if none does."""
-    url = address if "://" in address else f"rerun+http://{address}/proxy"
-    parts = urlsplit(url)
-    try:
-        host, port = parts.hostname, parts.port
-    except ValueError:  # the port is not a number, or too large
-        host, port = None, None
-    if not host or not port or parts.scheme not in {"rerun", "rerun+http", "rerun+https"} or parts.path != "/proxy":
-        raise InputError(f"--live {address!r}: must be host:port, like {HOST}:9876, or rerun+http://host:port/proxy")
-    try:
-        socket.create_connection((host, port), ANSWER_S).close()
-    except OSError as error:
-        reason = error.strerror or str(error) or type(error).__name__
-        raise InputError(f"--live {address}: no viewer answers there ({reason}); start one with: rerun") from None
-    return url
+def connect(address: str, application: str, batching: rr.ChunkBatcherConfig | None = None) -> rr.RecordingStream:
+    """A stream to the viewer at ``host:port`` or a Rerun URL, or to one that is opened, which stays open.
 
-
-def knock(url: str) -> Literal["viewer", "stranger", "nobody"]:
-    """What answers at a viewer's URL: a server that speaks HTTP/2, something else, or nothing within ``ANSWER_S``."""
-    parts = urlsplit(url)
-    if parts.scheme != "rerun+http":
-        return "viewer"  # its connection is encrypted by TLS, which is not checked
+    Raises InputError if no viewer answers, WorkError if none can be opened.
+    """
+    url = address if "://" in address else f"rerun+http://{address}/proxy" if address else open_viewer()
+    stream = rr.RecordingStream(application, send_properties=False, batcher_config=batching)
     try:
-        with socket.create_connection((parts.hostname or "", parts.port or 0), ANSWER_S) as connection:
-            connection.sendall(CLIENT_PREFACE)
-            frame = connection.recv(9)
-    except TimeoutError:
-        return "nobody"
-    except OSError:
-        return "stranger"
-    return "viewer" if frame[3:4] == CLIENT_PREFACE[-6:-5] else "stranger"
+        stream.connect_grpc(url)
+        for _ in range(5):
+            stream.flush(timeout_sec=ANSWER_S)
+            time.sleep(0.1)  # what answers may be no viewer, and its refusal takes a moment to arrive
+    except LOST_VIEWER_ERRORS as error:
+        rr.unregister_shutdown()  # when the process exits, it would wait for the viewer
+        raise InputError(
+            f"--live {address}: no Rerun viewer answers there ({one_line(error)}); start one: rerun"
+        ) from None
+    return stream
 
 
 def find_viewer() -> str:

@@ -202,7 +202,9 @@ def segment_error_view() -> rrb.TimeSeriesView:
 def making(floor: Floor) -> Part:
     """The initial map in the making, and in words."""
     title = "The initial map: choose the timeline `making` to see how it is made"
-    plan = room_view(title, ["outline", f"{MAP_ENTITY.removeprefix('world/')}/**"], aim_eye(floor, before=0.0))
+    plan = room_view(
+        title, ["outline", f"{MAP_ENTITY.removeprefix('world/')}/**"], aim_eye(floor, before=0.0, aspect=1.2)
+    )
     return rrb.Horizontal(plan, text_view("This stage", TEXT_ENTITY), column_shares=[5, 2], name="Initial map")
 
 
@@ -234,7 +236,7 @@ def wheels_view() -> rrb.TextDocumentView:
 def training(floors: Mapping[str, Floor], known: bool, *beside: rrb.View, began_s: float | None = None) -> Part:
     """How methods' maps of the training images unfold, over so much floor, their errors if known, and the losses."""
     start = None if began_s is None else rr.TimeRangeBoundary.absolute(seconds=began_s)
-    shown = [("map of the training images", "training", "", [])]
+    shown = [("map of the training images", "training", "", ["outline"] if known else [])]
     if known:
         shown.append(("errors on the training images", "training_error", "/**", ["outline", "scale/**"]))
     rows: list[list[rrb.View]] = [

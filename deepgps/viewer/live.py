@@ -23,27 +23,24 @@ from deepgps.reports.run_report import read_metrics
 from deepgps.reports.table import tabulate
 from deepgps.runs.run_folder import METRICS
 from deepgps.terminal.progress import Look, Report
-from deepgps.viewer import drive
-from deepgps.viewer.connect import ANSWER_S, find_url, knock, open_viewer
-from deepgps.viewer.error_field import list_layers
-from deepgps.viewer.layout import STEPS, Layers, make_live_blueprint
+from deepgps.viewer import drive, layout
+from deepgps.viewer.connect import LOST_VIEWER_ERRORS, connect
 from deepgps.viewer.making import History, log_loss, log_snapshots
 from deepgps.viewer.own_map import log_own_map, tell_unseen
-from deepgps.viewer.pictures import make_warp
-from deepgps.viewer.run import LAYERS, READING_HINT, log_results
+from deepgps.viewer.pictures import POLAR_PICTURES, log_polar
+from deepgps.viewer.run import log_results
 from deepgps.viewer.scene import log_room
-from deepgps.viewer.stream import put_text, run_clock
-from sim.errors import DamagedError, InputError, one_line
+from deepgps.viewer.stream import RUN_TIME, put_text, run_clock
+from sim.errors import DamagedError, one_line
 from sim.files.checksums import read_arrays
+from sim.geometry import limits
 from sim.recording.format import Truth, chunk_files, has_truth, open_recording, open_truth, work_folder
 from sim.settings import CameraSettings
 
 APPLICATION = "deepgps live"  # not that of recordings, whose blueprint it would replace
-LOST_VIEWER_ERRORS = (RuntimeError, ConnectionError)  # Errors that rerun raises when the viewer is gone
 PERIOD_S = 1.0
 STALL_S = 10.0  # How long a viewer may accept no data [s]
 PATIENCE_S = 20.0  # How long a finished run waits for a slow viewer to accept the remaining data [s]
-POLL_S = 0.4  # Interval at which a finished run checks whether the viewer still answers [s]
 Spread = Callable[[int], np.ndarray]
 """Makes times (n,) [s] for so many rows, spread over the time since the last update."""
 TRACK_M = 0.16  # Distance between the wheels of the robot that is drawn until its own is known
@@ -60,19 +57,9 @@ def show_live(
     The address is host:port or a Rerun URL; without one, a viewer is opened, which stays open. ``warn`` is called with
     one line when the viewer stops answering. Raises InputError if no viewer answers, WorkError if none can be opened.
     """
-    url = find_url(address) if address else open_viewer()
-    who = knock(url)
-    if who == "stranger":
-        raise InputError(f"--live {address}: what answers there is not a Rerun viewer")
-    if who == "nobody":
-        warn(f"the viewer at {address} does not answer within {ANSWER_S} s; the run continues without it")
-        yield progress
-        return
     by_hand = rr.ChunkBatcherConfig(flush_tick=timedelta(days=1))  # each update flushes
-    stream = rr.RecordingStream(APPLICATION, send_properties=False, batcher_config=by_hand)
-    stream.connect_grpc(url)
+    stream = connect(address, APPLICATION, by_hand)
     view = LiveView(stream, scenario, folder)
-    _check(stream, address)
     ended, lost, heard = threading.Event(), threading.Event(), 0.0
     thread = threading.Thread(target=_send, args=(stream, view, ended, lost, warn), daemon=True)
 
@@ -96,19 +83,11 @@ def show_live(
         if thread.ident is None:
             stream.disconnect()
         else:
-            _wait(thread, lost, url, warn)
-
-
-def _wait(thread: threading.Thread, lost: threading.Event, url: str, warn: Callable[[str], None]) -> None:
-    """Wait until everything is sent, as long as the viewer answers."""
-    end = time.monotonic() + PATIENCE_S
-    thread.join(POLL_S)
-    while thread.is_alive() and not lost.is_set() and time.monotonic() < end and knock(url) == "viewer":
-        thread.join(POLL_S)
-    if thread.is_alive():
-        if not lost.is_set():
-            warn("the viewer no longer accepts data; it does not show the complete run")
-        rr.unregister_shutdown()  # when the process exits, it would wait forever for the viewer
+            thread.join(PATIENCE_S)
+        if thread.is_alive():
+            if not lost.is_set():
+                warn("the viewer no longer accepts data; it does not show the complete run")
+            rr.unregister_shutdown()  # when the process exits, it would wait forever for the viewer
 
 
 def _send(
@@ -133,16 +112,6 @@ def _send(
         warn(f"{what} ({type(error).__name__}: {one_line(error)}); the run continues without it")
     finally:
         stream.disconnect()  # never returns if the viewer hangs
-
-
-def _check(stream: rr.RecordingStream, address: str) -> None:
-    """Raise InputError if something other than a viewer answers."""
-    try:
-        for _ in range(5):
-            stream.flush(timeout_sec=ANSWER_S)
-            time.sleep(0.1)  # a refusal of the data takes a moment to arrive
-    except RuntimeError:
-        raise InputError(f"--live {address}: what answers there is not a Rerun viewer") from None
 
 
 class LiveDrive:
@@ -194,8 +163,7 @@ class LiveDrive:
 
     def _send_pictures(self, images: np.ndarray, spread: Spread) -> None:
         if images.ndim == 4:  # no scans
-            warp = make_warp(self.camera, images.shape[1], images.shape[2], drive.ROUND_PX)
-            drive.log_polar(self.stream, images, warp, run_clock(spread(len(images))))
+            log_polar(self.stream, images, self.camera, run_clock(spread(len(images))))
 
 
 class LiveView:
@@ -210,7 +178,7 @@ class LiveView:
         self._lengths: dict[str, tuple[int, int]] = {}  # of each history, what is sent of losses and of snapshots
         self._trained: list[str] = []
         self._finished: set[str] = set()
-        self._layers: Layers = {}
+        self._fields: list[str] = []  # methods whose error fields are sent
         self._sent: int | None = None  # when the figures that were sent had been written [ns]
         self._start, self._before = time.monotonic(), 0.0  # start of the view; time of the last update since then [s]
         self._began_s: float | None = None  # start of the training since then [s]
@@ -276,22 +244,27 @@ class LiveView:
         if self._truth is None or written is None or written == self._sent:
             return
         fields, metrics = read_all_headings(self._folder), read_metrics(self._folder)
-        space, driven = self._truth.free_space, self._truth.pose[:, :2]
-        log_results(self._stream, metrics, fields, space, driven, [READING_HINT, LAYERS])
-        self._layers, self._sent = {name: list_layers(name, field) for name, field in fields.items()}, written
+        log_results(self._stream, metrics, fields, self._truth.free_space)
+        self._fields, self._sent = list(fields), written
 
     def _send_steps(self) -> None:
         rows = [[title_of(label), f"{done:,}", f"{total:,}"] for label, (done, total) in dict(self.steps).items()]
         text = "\n\n".join(filter(None, (tabulate(["stage", "done", "of"], rows), self._drive.unseen)))
         if text != self._text:
             self._text = text
-            put_text(self._stream, STEPS, text)
+            put_text(self._stream, layout.STEPS, text)
 
     def _arrange(self) -> None:
-        shown = (self._truth is not None, list(self._trained), list(self._layers))
-        if shown != self._shown:
-            self._shown = shown
-            pictures = self._scenario.observation == "polar_image"
-            space = self._truth.free_space if self._truth else None
-            layout = make_live_blueprint(space, pictures, self._trained, self._began_s or 0.0, self._layers)
-            self._stream.send_blueprint(layout)
+        """Lay out a tab for each stage so far, with the newest in front."""
+        shown = (self._truth is not None, list(self._trained), self._fields)
+        if shown == self._shown:
+            return
+        self._shown = shown
+        floor, steps = limits(self._truth.free_space) if self._truth else None, layout.text_view("Steps", layout.STEPS)
+        pictures = POLAR_PICTURES if self._scenario.observation == "polar_image" else {}
+        tabs = [layout.drive(floor, pictures, steps, RUN_TIME, has_room=floor is not None)]
+        if floor and self._trained:
+            tabs.append(layout.training(dict.fromkeys(self._trained, floor), True, steps, began_s=self._began_s or 0.0))
+        if floor and self._fields:
+            tabs.append(layout.error_fields(floor, self._fields))
+        self._stream.send_blueprint(layout.arrange(tabs, layout.follow(RUN_TIME), len(tabs) - 1))

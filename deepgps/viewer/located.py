@@ -9,19 +9,18 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from deepgps.viewer.connect import find_url, knock, open_viewer
-from deepgps.viewer.layout import aim_eye, arrange, play, room_view
-from deepgps.viewer.live import LOST_VIEWER_ERRORS
-from deepgps.viewer.pictures import enlarge
+from deepgps.viewer.connect import LOST_VIEWER_ERRORS, connect
+from deepgps.viewer.layout import aim_eye, arrange, follow, room_view
 from deepgps.viewer.scene import LAYER_M, draw_circles, lift, log_room
-from sim.errors import InputError, one_line
+from sim.errors import one_line
+from sim.geometry import limits
 from sim.recording.format import has_truth, open_truth
 
 APPLICATION = "deepgps locate"
 IMAGE, TIME = "image", "time"  # Timelines: the number of the image, and when it was taken, if that is known
 TRAIL_POSITIONS = 2000  # Positions of which the way is drawn
 ROBOT_COLOUR, REFUSED_COLOUR, TRAIL_COLOUR = (90, 200, 250), (240, 90, 80), (150, 160, 180)
-ARROW_M, ROBOT_SCALE = 0.25, 4
+ARROW_M = 0.25
 FLUSH_S = 5.0  # How long a viewer may take for what is left at the end [s]
 
 Show = Callable[[float | None, np.ndarray, np.ndarray, float | None, float | None, bool | None], None]
@@ -34,11 +33,7 @@ def show_located(address: str, recording: Path, in_world: bool, warn: Callable[[
 
     The address, ``warn`` and what is raised are as in ``show_live``.
     """
-    url = find_url(address) if address else open_viewer()
-    if knock(url) != "viewer":
-        raise InputError(f"--live {address}: no Rerun viewer answers there; start one with: rerun")
-    stream = rr.RecordingStream(APPLICATION, send_properties=False)
-    stream.connect_grpc(url)
+    stream = connect(address, APPLICATION)
     try:
         yield LocatedView(stream, recording if in_world and has_truth(recording) else None).show
     finally:
@@ -60,7 +55,7 @@ class LocatedView:
         room = room_view(
             "Robot, with the circle of 95 %",
             ["room", "floor_plan", "outline", "located/**"],
-            aim_eye(space, tilt=0.45, reach=1.3, before=-0.4),
+            aim_eye(space and limits(space), tilt=0.45, reach=1.3, before=-0.4),
             line_grid=space is None,
         )
         beside = rrb.Vertical(
@@ -68,7 +63,7 @@ class LocatedView:
             rrb.TimeSeriesView(name="Radius of 95 % [m]", origin="radius"),
         )
         tab = rrb.Horizontal(room, beside, column_shares=[5, 2], name="Located")
-        stream.send_blueprint(arrange([tab], play(IMAGE)))
+        stream.send_blueprint(arrange([tab], follow(IMAGE)))
 
     def show(
         self,
@@ -92,7 +87,7 @@ class LocatedView:
         circle = draw_circles(position[None], np.array([radius_m or 0.0]), LAYER_M)
         way = lift(np.array(self.trail).reshape(-1, 2), LAYER_M)
         things = {
-            "image": rr.Image(enlarge(polar, ROBOT_SCALE)).compress(jpeg_quality=85),
+            "image": rr.Image(polar).compress(jpeg_quality=85),
             "world/located/position": rr.Points3D(at, radii=0.05, colors=[colour]),
             "world/located/yaw": rr.Arrows3D(vectors=arrow, origins=at[: len(arrow)], radii=0.02, colors=[colour]),
             "world/located/radius": rr.LineStrips3D(circle, colors=[colour], radii=0.006),

@@ -28,7 +28,7 @@ from deepgps.viewer.stream import (
     put_text,
     send_rows,
     send_series,
-    stay_rows,
+    start_row,
     step_rows,
 )
 from sim.alignment import Alignment, fit_alignment
@@ -63,7 +63,7 @@ def log_making(stream: rr.RecordingStream, stored: StoredMap, recording: Recordi
     rows = np.split(recording.reading[:, 1], np.flatnonzero(np.diff(segment)) + 1)
     last = len(stored.stage) - 1
     for stage in range(last + 1):
-        at = stay_rows(MAP_STAGE, [stage], find_span(recording))
+        at = [rr.TimeColumn(MAP_STAGE, sequence=[stage]), *(start_row(find_span(recording)) if stage == last else [])]
         own = fit_alignment(stored.stage_places[stage][known].astype(float), final[known], "SE2")
         places = own.apply(stored.stage_places[stage].astype(float))
         heading = own.turn(stored.stage_heading[stage].astype(float))
@@ -156,10 +156,19 @@ def _describe(stored: StoredMap, stage: int, off_m: float | None) -> list[str]:
     return words
 
 
-def training_rows(history: History, span: Span) -> tuple[Rows, Rows]:
-    """Rows along the timelines for a training's losses, and for its snapshots."""
-    last = max(int(history["step"][-1]), int(history["snapshot_step"][-1]), 1)
-    return step_rows(history["step"], last, span), stay_rows(STEP, history["snapshot_step"], span)
+def log_training(stream: rr.RecordingStream, name: str, history: History, span: Span, place: np.ndarray | None) -> None:
+    """Log a finished training: its loss, and its snapshots, the last also at the start of the drive.
+
+    True places of all observations are (N, 2) [m]; without, the snapshots stay in a frame of their own.
+    """
+    step, snapshots = history["snapshot_step"], history["snapshot"]
+    last = max(int(history["step"][-1]), int(step[-1]), 1)
+    log_loss(stream, name, history, step_rows(history["step"], last, span))
+    for some, at in ((snapshots, [rr.TimeColumn(STEP, sequence=step)]), (snapshots[-1:], start_row(span))):
+        if place is None:
+            log_points(stream, f"world/training/{name}", snapshots[-1], some, at)
+        else:
+            log_snapshots(stream, name, place[history["snapshot_index"]], some, at)
 
 
 def log_loss(stream: rr.RecordingStream, name: str, history: History, at: Rows, first: int = 0) -> None:

@@ -1,4 +1,4 @@
-"""Two runs in one recording: the change of their error fields below ``change``, each run below ``a`` and ``b``.
+"""Two runs in one recording: each below ``a`` and ``b``, and the change of their error fields below ``a/change``.
 
 A comparison reads runs that are complete, and adds nothing to them but its recording.
 """
@@ -12,34 +12,29 @@ from typing import Any
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from matplotlib.colors import LinearSegmentedColormap
+from matplotlib import colormaps
 
 from deepgps.config.methods import title_of
 from deepgps.config.scenario import list_settings
 from deepgps.evaluation.error_field import ErrorField, read_all_headings
 from deepgps.reports.plots import SCALE_M
+from deepgps.reports.run_figures import draw_error_cdf
 from deepgps.reports.run_report import COLUMNS, read_metrics
 from deepgps.reports.table import tabulate
 from deepgps.runs.run_folder import open_run
 from deepgps.viewer.error_field import find_thinness, log_field
-from deepgps.viewer.layout import aim_eye, arrange, errors_view, room_view, text_view
-from deepgps.viewer.pictures import log_distribution
+from deepgps.viewer.layout import DISTRIBUTION, aim_eye, arrange, distribution, room_view, text_view
+from deepgps.viewer.pictures import log_figure
 from deepgps.viewer.run import hash_run
 from deepgps.viewer.scene import LAYER_M, SCALE_COLOURS, lift, log_room, log_scale, log_strip
-from deepgps.viewer.stream import holds, put_text, save_recording
+from deepgps.viewer.stream import put, put_text, save_recording
 from sim.errors import InputError
 from sim.geometry import FreeSpace, limits
 from sim.recording.format import open_truth
 
 PAIRS = "pairs"
 MIN_DIFFERENCE_M = SCALE_M[0]  # Errors that differ by less than this count as equal [m]
-SHARES = (0.0, 0.25, 0.48, 0.5, 0.52, 0.75, 1.0)
-# blue: B is better; grey: the same; orange: B is worse
-CHANGE_COLOURS = LinearSegmentedColormap.from_list(
-    "change",
-    list(zip(SHARES, ("#3d6bff", "#2fb5ff", "#4a7f99", "#59606e", "#9c7350", "#ffa03c", "#ff4a2e"), strict=True)),
-)
-LABELS = {-1.0: "B better by 1 m", -0.5: "10 cm", 0.0: "within 1 cm", 0.5: "10 cm", 1.0: "B worse by 1 m"}
+LABELS = {0.0: "B better by 1 m", 0.25: "10 cm", 0.5: "within 1 cm", 0.75: "10 cm", 1.0: "B worse by 1 m"}
 TABLES = (("rms_m", "median_m"), ("p95_m", "max_m"))  # Figures of each table, few enough for its width
 
 
@@ -74,7 +69,7 @@ class Pair:
 
 
 def write_pair(folders: Sequence[Path]) -> Path:
-    """Write the recording of two runs into ``pairs`` in the first one's folder unless it exists; return its path.
+    """Write the recording of two runs into ``pairs`` in the first one's folder; return its path.
 
     The runs' own files do not change. Raises InputError unless these are two complete runs with a method in common.
     """
@@ -82,9 +77,8 @@ def write_pair(folders: Sequence[Path]) -> Path:
     shown = [(folder.resolve().name, open_run(folder).model_dump_json(), hash_run(folder)) for folder in folders]
     number = hashlib.sha256(str(shown).encode()).hexdigest()[:32]
     path = folders[0] / PAIRS / f"{number[:12]}.rrd"
-    if not holds(path, number):
-        title = " and ".join(folder.resolve().name for folder in folders)
-        save_recording(path, number, title, _make_blueprint(pair), lambda stream: _log_pair(stream, pair))
+    title = " and ".join(folder.resolve().name for folder in folders)
+    save_recording(path, number, title, _make_blueprint(pair), lambda stream: _log_pair(stream, pair))
     return path
 
 
@@ -107,17 +101,12 @@ def open_pair(folders: Sequence[Path]) -> Pair:
     return Pair({"a": a, "b": b}, methods, same)
 
 
-def scale_change(change: np.ndarray) -> np.ndarray:
-    """Scale changes (...,) [m] to [-1, 1]: 0 up to a centimetre, then logarithmic to a metre, as errors are drawn."""
+def colours_of_change(change: np.ndarray) -> np.ndarray:
+    """Colours (..., 4) uint8 RGBA of changes (...,) [m]: grey up to a centimetre, then logarithmic to a metre, blue
+    where B is better and red where it is worse."""
     decades = np.log10(SCALE_M[1] / MIN_DIFFERENCE_M)
-    return np.sign(change) * np.clip(
-        np.log10(np.maximum(np.abs(change), MIN_DIFFERENCE_M) / MIN_DIFFERENCE_M) / decades, 0, 1
-    )
-
-
-def colours_of_change(share: np.ndarray) -> np.ndarray:
-    """Colours (..., 4) uint8 RGBA of scaled changes (...,)."""
-    return (CHANGE_COLOURS((np.asarray(share) + 1) / 2) * 255).round().astype(np.uint8)
+    share = np.log10(np.maximum(np.abs(change), MIN_DIFFERENCE_M) / MIN_DIFFERENCE_M) / decades
+    return (colormaps["coolwarm"](0.5 + 0.5 * np.sign(change) * share.clip(0.0, 1.0)) * 255).round().astype(np.uint8)
 
 
 def describe_pair(pair: Pair) -> str:
@@ -181,56 +170,41 @@ def _log_pair(stream: rr.RecordingStream, pair: Pair) -> None:
         _log_changes(stream, pair)
     put_text(stream, "report/pair", describe_pair(pair))
     a, b = ({name: side.fields[name] for name in pair.methods} for side in pair.sides.values())
-    log_distribution(stream, b, a)
+    log_figure(stream, DISTRIBUTION, draw_error_cdf(b, a))
 
 
 def _log_changes(stream: rr.RecordingStream, pair: Pair) -> None:
-    """Log the room, and in it a dot at each test position with both errors as text, and the changes as values."""
-    a = pair.sides["a"]
-    log_room(stream, a.scene, a.space, "change")
-    labels = {(change + 1) / 2: label for change, label in LABELS.items()}
-    log_strip(stream, "change/scale", *limits(a.space), colours_of_change(np.linspace(-1, 1, SCALE_COLOURS)), labels)
+    """Log a dot at each test position with both errors as text, and the scale of their colours."""
+    half = np.geomspace(MIN_DIFFERENCE_M, SCALE_M[1], SCALE_COLOURS // 2 + 1)
+    colours = colours_of_change(np.concatenate([-half[:0:-1], half]))
+    log_strip(stream, "a/change_scale", *limits(pair.sides["a"].space), colours, LABELS)
     for name in pair.methods:
-        truth, change = a.fields[name].truth, pair.change(name)
-        radius, colours = 0.03 * find_thinness(truth), colours_of_change(scale_change(change))
+        truth, change = pair.sides["a"].fields[name].truth, pair.change(name)
+        radius = 0.03 * find_thinness(truth)
         place = lift(truth, LAYER_M + radius)  # on the floor, not half below it
-        dots = rr.Points3D(place, radii=radius, colors=colours, point_shading="Flat")
+        dots = rr.Points3D(place, radii=radius, colors=colours_of_change(change), point_shading="Flat")
         rows = zip(100 * change, *(100 * error for error in pair.errors(name)), strict=True)
-        words = [f"{one:+.1f} cm: A {before:.1f}, B {after:.1f}" for one, before, after in rows]
-        stream.log(f"change/field/{name}/places", dots, rr.AnyValues(change=words), static=True)
-        stream.log(f"change/field/{name}", rr.AnyValues(change_m=change), static=True)
+        words = {"change": [f"{one:+.1f} cm: A {before:.1f}, B {after:.1f}" for one, before, after in rows]}
+        put(stream, f"a/change/{name}", dots, said=words)
 
 
 def _make_blueprint(pair: Pair) -> rrb.Blueprint:
-    """The viewer's layout for a pair: the difference, if both runs share a floor, then both runs side by side."""
-    around = ["room", "floor_plan", "scale/**"]
+    """The viewer's layout for a pair: a tab for each method with both runs and, if they share a floor, the change."""
 
-    def view(name: str, root: str, side: Side) -> rrb.View:
-        title = f"{root.upper()}: error field of {title_of(name)}"
-        return room_view(title, [*around, f"error_field/{name}/**"], aim_eye(side.space, tilt=0.35), root)
+    def tab(name: str) -> rrb.Container:
+        views = [
+            room_view(
+                f"{root.upper()}: error field of {title_of(name)}",
+                ["room", "floor_plan", "scale/**", f"error_field/{name}/**"],
+                aim_eye(limits(side.space), tilt=0.35),
+                root,
+            )
+            for root, side in pair.sides.items()
+        ]
+        if pair.same_floor:
+            shown = ["floor_plan", "change_scale/**", f"change/{name}"]
+            views.append(room_view("Where the error changed from A to B", shown, aim_eye(limits(a.space)), "a"))
+        return rrb.Grid(*views, text_view("Figures", "report/pair"), grid_columns=2, name=title_of(name))
 
-    fields = [
-        rrb.Vertical(*(view(name, *one) for one in pair.sides.items()), name=title_of(name)) for name in pair.methods
-    ]
-    text = text_view("Figures", "report/pair")
-    tabs = {"Difference": _change_views(pair)} if pair.same_floor else {}
-    tabs["Side by side"] = rrb.Tabs(*fields)
-    beside = [rrb.Horizontal(tab, text, column_shares=[5, 2], name=name) for name, tab in tabs.items()]
-    return arrange([*beside, errors_view()], rrb.TimePanel(state="hidden"))
-
-
-def _change_views(pair: Pair) -> rrb.Container:
-    """The first method's changes in the furnished room, and the other methods' as plans."""
-    first, *others = pair.methods
-    space = pair.sides["a"].space
-    room = room_view(
-        f"Where the error of {title_of(first)} changed from A to B",
-        ["room", "floor_plan", "scale/**", f"field/{first}/**"],
-        aim_eye(space, tilt=0.45, reach=1.08),
-        "change",
-    )
-    above = aim_eye(space, reach=0.85, before=0.0)
-    plans = [
-        room_view(f"{title_of(name)}: A to B", ["floor_plan", f"field/{name}/**"], above, "change") for name in others
-    ]
-    return rrb.Vertical(room, *([rrb.Horizontal(*plans)] if plans else []), row_shares=[5, 2] if plans else [1])
+    a = pair.sides["a"]
+    return arrange([*map(tab, pair.methods), distribution()], rrb.TimePanel(state="hidden"))

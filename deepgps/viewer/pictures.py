@@ -12,7 +12,7 @@ from deepgps.viewer.stream import Rows, put, send_rows
 from sim.sensors.camera.lens import make_lens, project_polar, round_rays
 from sim.settings import CameraSettings
 
-ROUND_PX = 192  # Side of the round pictures [px]
+ROUND_PX = 160  # Side of the round pictures [px]
 JPEG_QUALITY = 85
 POLAR_PICTURES = {"fisheye": "Fisheye", "polar": "Polar image, zenith at the top"}
 """Pictures of a polar image by name, with their titles."""

@@ -27,7 +27,7 @@ from deepgps.viewer.drive import camera_of
 from deepgps.viewer.error_field import draw_arrows
 from deepgps.viewer.pictures import log_round
 from deepgps.viewer.scene import LABEL_COLOUR, LAYER_M, draw_circles, lift
-from deepgps.viewer.stream import PLACE, Shapes, find_span, send_rows, send_shapes, stay_rows
+from deepgps.viewer.stream import PLACE, Rows, Shapes, find_span, send_rows, send_shapes, start_row
 from sim.recording.format import Recording, Truth
 
 PLACES, OTHERS = 40, 12  # Worst places of the first method, and of each other
@@ -38,7 +38,7 @@ ANSWER_IMAGES = 2
 TRAINING_IMAGES = (*(f"answer_{number + 1}" for number in range(ANSWER_IMAGES)), "closest")
 PICTURES = ("test", "weight", *TRAINING_IMAGES)
 COLOURS = {"test": (255, 255, 255), "answer": (255, 196, 60), "closest": (63, 208, 165)}
-OTHER_COLOUR, MARK = (255, 120, 60), np.array([255, 0, 200])
+OTHER_COLOUR, MARK = (225, 85, 20), np.array([255, 0, 200])
 HEADING_M = 0.22
 IMAGE_COLUMNS = ("training image", "x, y [m]", "away [m]", "heading")
 WORDS = ("accepted", "unlike all seen near by", "another place looks the same", "two answers contradict each other")
@@ -140,10 +140,24 @@ def look_at(run: Path, method: str, places: Sequence[Place], recording: Recordin
 
 
 def log_places(stream: rr.RecordingStream, places: Sequence[Place], recording: Recording, truth: Truth) -> None:
-    """Log of each place its arrow, modes and numbers, its image, and the training images at the answer and closest."""
-    at = stay_rows(PLACE, np.arange(len(places), 0, -1), find_span(recording))
-    places = places[::-1]  # the worst is logged last
-    fields = {place.method: place.field for place in places[::-1]}
+    """Log of each place its arrow, modes and numbers, its image, and the training images at the answer and closest.
+
+    The worst is also at the start of the drive.
+    """
+    fields = {place.method: place.field for place in places}
+    numbers = rr.TimeColumn(PLACE, sequence=range(1, len(places) + 1))
+    _log(stream, places, recording, truth, fields, [numbers])
+    _log(stream, places[:1], recording, truth, fields, start_row(find_span(recording)))
+
+
+def _log(
+    stream: rr.RecordingStream,
+    places: Sequence[Place],
+    recording: Recording,
+    truth: Truth,
+    fields: Mapping[str, ErrorField],
+    at: Rows,
+) -> None:
     tree, pose = KDTree(truth.pose[:, :2]), np.array([place.pose for place in places])
     predicted = np.array([place.field.predicted[place.at] for place in places])
     closest, around = tree.query(pose[:, :2])[1], find_nearest(tree, predicted, NEIGHBOURS)[1]

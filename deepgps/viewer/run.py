@@ -28,7 +28,7 @@ from deepgps.viewer import layout
 from deepgps.viewer.deployment import find_ways, log_deployment
 from deepgps.viewer.drive import find_pictures, log_diagnosis, log_drive, log_encoders
 from deepgps.viewer.error_field import RADIUS_TICKS_M, log_field, log_trust
-from deepgps.viewer.making import find_map, log_loss, log_making, log_points, log_snapshots, training_rows
+from deepgps.viewer.making import find_map, log_making, log_training
 from deepgps.viewer.pictures import log_figure
 from deepgps.viewer.places import find_places, log_places
 from deepgps.viewer.scene import log_room, log_scale
@@ -77,7 +77,7 @@ def write_run(run: Path) -> Path:
     drive, is_polar = open_deployment(recording), recording.kind == "polar_image"
     errors = rrb.Horizontal(layout.segment_error_view(), layout.ticks_view())
     tabs = [
-        layout.error_fields(floor, list(fields), ["place/test"]),
+        layout.error_fields(floor, list(fields), ["place/test", "place/label"]),
         layout.places(floor, is_polar),
         *([layout.trust(floor, sure)] if sure else []),
         layout.drive(floor, find_pictures(recording), errors),
@@ -106,9 +106,7 @@ def write_run(run: Path) -> Path:
         if stored is not None:
             log_making(stream, stored, recording, find_true_camera(recording, truth))
         for name, history in histories.items():
-            losses, snapshots = training_rows(history, span)
-            log_loss(stream, name, history, losses)
-            log_snapshots(stream, name, truth.pose[history["snapshot_index"], :2], history["snapshot"], snapshots)
+            log_training(stream, name, history, span, truth.pose[:, :2])
         log_figure(stream, layout.DISTRIBUTION, draw_error_cdf(fields))
 
     title = f"{metrics['scenario']}, seed {metrics['seed']}"
@@ -137,7 +135,7 @@ def log_results(
     metrics: Mapping[str, Any],
     fields: Mapping[str, ErrorField],
     space: FreeSpace,
-    notes: Sequence[str],
+    notes: Sequence[str] = (),
     marks: Mapping[str, Mapping[int, str]] = MappingProxyType({}),
 ) -> None:
     """Log a run's error fields with their scale, its figures, and how to read them; marks of places are by method, as
@@ -172,8 +170,8 @@ def hash_run(run: Path) -> str:
 def _write_without_truth(run: Path, path: Path) -> Path:
     recording, histories = open_recording(run / "recording"), read_histories(run)
     pose, span = dead_reckon(recording), find_span(recording)
-    snapshots = {name: history["snapshot"].astype(float) for name, history in histories.items()}
-    floors = {name: (points[-1].min(axis=0), points[-1].max(axis=0)) for name, points in snapshots.items()}
+    last = {name: history["snapshot"][-1] for name, history in histories.items()}
+    floors = {name: (points.min(axis=0), points.max(axis=0)) for name, points in last.items()}
     way = pose[:, :2].min(axis=0), pose[:, :2].max(axis=0)
     tabs = [
         layout.drive(way, find_pictures(recording), layout.ticks_view(), has_room=False),
@@ -185,9 +183,7 @@ def _write_without_truth(run: Path, path: Path) -> Path:
     def log(stream: rr.RecordingStream) -> None:
         log_drive(stream, recording, pose)
         for name, history in histories.items():
-            losses, rows = training_rows(history, span)
-            log_loss(stream, name, history, losses)
-            log_points(stream, f"world/training/{name}", snapshots[name][-1], snapshots[name], rows)
+            log_training(stream, name, history, span, None)
         log_diagnosis(stream, run)
         known = markdown(run) if read_judged(run) else ""
         put_text(stream, layout.REPORT, f"{WITHOUT_TRUTH_NOTE}\n\n{known}")

@@ -22,7 +22,7 @@ LAYER_M = 0.01  # height of one drawn layer above the next
 SCALE_COLOURS = 65  # colours along a scale
 ELLIPSE_POINTS = 37
 MAX_METRES = 12  # Numbers along a side of the floor
-LABEL_COLOUR = (140, 140, 140)  # Legible on labels of the dark and of the light theme
+LABEL_COLOUR = (128, 128, 128)  # Legible on labels of the dark and of the light theme
 WALL_SHARE = 0.2  # Share of their height with which walls between rooms are drawn
 STILL_BEHAVIOUR = rrb.EntityBehavior(interactive=False)
 BACKDROP = ("room", "floor_plan", "outline", "metres", "scale")
@@ -58,7 +58,8 @@ def log_floor(stream: rr.RecordingStream, space: FreeSpace, at: Rows = (), root:
     (west, south), (east, north) = limits(space)
     step = max(1, round(max(east - west, north - south) / MAX_METRES))
     x, y = (np.arange(np.ceil(low / step) * step, high, step) for low, high in ((west, east), (south, north)))
-    places = [*((one, north + 0.3, 0.0) for one in x), *((west - 0.2, one, 0.0) for one in y)]
+    # labels are drawn below their points
+    places = [*((one, north + 0.3, 0.0) for one in x), *((west - 0.2, one + 0.1, 0.0) for one in y)]
     numbers = [f"{one:g} m" for one in (*x, *y)]
     put(
         stream,

@@ -128,9 +128,9 @@ def step_rows(step: np.ndarray, last: int, span: Span) -> Rows:
     return _spread(rr.TimeColumn(STEP, sequence=step), np.asarray(step) / last, span)
 
 
-def stay_rows(timeline: str, sequence: Sequence[int] | np.ndarray, span: Span) -> Rows:
-    """Rows at places (n,) on a timeline; the one that is logged last is shown at all times of the drive."""
-    return [rr.TimeColumn(timeline, sequence=sequence), rr.TimeColumn(DRIVE_TIME, duration=[span[0]] * len(sequence))]
+def start_row(span: Span) -> Rows:
+    """The row at the start of the drive, of what is shown as long as its time passes."""
+    return [rr.TimeColumn(DRIVE_TIME, duration=[span[0]])]
 
 
 def show_until_now(timeline: str = DRIVE_TIME, seconds: float | None = None) -> list[rrb.VisibleTimeRange]:
