@@ -6,12 +6,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-import pyarrow.compute as pc
+import pyarrow as pa
 from rerun.chunk import RrdReader
 
-from deepgps.evaluation.error_field import WorstField
 from deepgps.viewer.connect import find_viewer
-from deepgps.viewer.read import COLUMNS, read_error_table
+from deepgps.viewer.error_field import ACCEPTED, REFUSED
+from deepgps.viewer.stream import open_rrd
 
 OVERRIDES = "/ViewContents/overrides/"
 
@@ -24,12 +24,25 @@ def count_rows(path: Path) -> Counter[str]:
     return counts
 
 
-def read_error_field(path: Path, method: str, root: str = "world") -> WorstField:
-    """A method's error field in a recording."""
-    rows = read_error_table(path, root).filter(pc.field("method") == method)
-    columns = (rows[name].to_numpy() for name in COLUMNS)
-    x, y, *predicted, error, heading = columns
-    return WorstField(np.stack([x, y], axis=1), np.stack(predicted, axis=1), error, np.radians(heading))
+def read_entity(path: Path, entity: str) -> pa.Table:
+    """All data of one entity of a recording, in the viewer's own columns; empty if there is no such entity."""
+    chunks = [chunk for chunk in open_rrd(path).stream() if chunk.entity_path == f"/{entity}"]
+    parts = [pa.table(chunk.to_record_batch()).replace_schema_metadata(None) for chunk in chunks]
+    return pa.concat_tables([part.drop_columns("rerun.controls.RowId") for part in parts], promote_options="default")
+
+
+def read_static(path: Path, entity: str, component: str) -> list:
+    """All values of a component of a static entity."""
+    return read_entity(path, entity)[component].combine_chunks().flatten().to_pylist()
+
+
+def read_error_field(
+    path: Path, method: str, root: str = "world", parts: tuple[str, ...] = (ACCEPTED, REFUSED)
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where a method's arrows of these parts begin and end in a recording (n, 2) [m]."""
+    strips = [read_static(path, f"{root}/error_field/{method}/{part}/arrows", "LineStrips3D:strips") for part in parts]
+    points = np.array([strip for some in strips for strip in some]).reshape(-1, 5, 3)
+    return points[:, 0, :2], points[:, 1, :2]
 
 
 def find_missing(path: Path) -> list[str]:

@@ -50,4 +50,7 @@ def test_refused_images_are_no_part_of_the_way(tmp_path: Path):
 def test_without_a_viewer_nothing_is_located(finished_run: Path, tmp_path: Path):
     (tmp_path / "one.png").write_bytes(b"")
     done = deepgps_here("locate", str(finished_run), "one.png", "--live", "127.0.0.1:1", cwd=tmp_path)
-    assert (done.returncode, done.stdout) == (2, "") and "--live 127.0.0.1:1: no viewer answers there" in done.stderr
+    assert (done.returncode, done.stdout) == (
+        2,
+        "",
+    ) and "--live 127.0.0.1:1: no Rerun viewer answers there" in done.stderr

@@ -10,11 +10,10 @@ import rerun as rr
 from deepgps.initial_map.stored_map import FILE, StoredMap
 from deepgps.runs.run_folder import VIEWED
 from deepgps.viewer.making import MAP_ENTITY, MAX_ELLIPSES, MIN_HALF_AXIS_M, SIGMAS, enlarge
-from deepgps.viewer.read import read_entity
 from deepgps.viewer.run import write_run
 from deepgps.viewer.stream import MAP_STAGE as TIMELINE
 from sim.files.checksums import read_arrays, write_arrays
-from tests.helpers.blueprints import find_missing, read_layout
+from tests.helpers.blueprints import find_missing, read_entity, read_layout
 from tests.helpers.synthetic_run import write_synthetic_run
 
 SAMPLES, STAGES, CLOSURES = 60, 3, 20

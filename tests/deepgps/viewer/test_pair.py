@@ -5,18 +5,17 @@ import shutil
 from pathlib import Path
 
 import numpy as np
-import pyarrow.compute as pc
 import pytest
 import rerun as rr
 from rerun.chunk import RrdReader
 
 from deepgps.config.scenario import Scenario, write_out
-from deepgps.viewer.pair import Pair, colours_of_change, describe_pair, open_pair, scale_change, write_pair
-from deepgps.viewer.read import read_entity, read_error_table
+from deepgps.evaluation.error_field import read_all_headings, split_by_acceptance
+from deepgps.viewer.pair import Pair, colours_of_change, describe_pair, open_pair, write_pair
 from deepgps.viewer.show import view
 from sim.errors import InputError
 from sim.files.checksums import sha256, write_lines
-from tests.helpers.blueprints import call_rerun, find_missing
+from tests.helpers.blueprints import call_rerun, find_missing, read_entity, read_error_field, read_static
 from tests.helpers.command import deepgps_here
 from tests.helpers.synthetic_run import METHODS, write_synthetic_run
 
@@ -56,17 +55,18 @@ def describe(pair: Pair) -> str:
 
 
 def test_the_change_and_both_fields_read_back_as_they_were_measured(runs: tuple[Path, Path], written: Path) -> None:
-    with np.load(runs[0] / "error_field.npz") as arrays:
-        truth = arrays["truth"]
-    tables = [read_error_table(written, root) for root in "ab"]
     for method in METHODS:
-        errors = [worst_errors(run, method) for run in runs]
-        rows = read_entity(written, f"change/field/{method}")
-        np.testing.assert_allclose(np.concatenate(rows["change_m"].to_pylist()), errors[1] - errors[0], atol=1e-12)
-        rows = read_entity(written, f"change/field/{method}/places")
-        np.testing.assert_allclose(np.array(rows["Points3D:positions"].to_pylist()[0])[:, :2], truth, atol=1e-6)
-        for table, error in zip(tables, errors, strict=True):
-            np.testing.assert_allclose(table.filter(pc.field("method") == method)["error_m"], error, atol=1e-6)
+        a, b = (100 * worst_errors(run, method) for run in runs)
+        said = read_static(written, f"a/change/{method}", "change")
+        expected = [f"{two - one:+.1f} cm: A {one:.1f}, B {two:.1f}" for one, two in zip(a, b, strict=True)]
+        assert said == expected
+        with np.load(runs[0] / "error_field.npz") as arrays:
+            place = np.array(read_static(written, f"a/change/{method}", "Points3D:positions"))[:, :2]
+            np.testing.assert_allclose(place, arrays["truth"], atol=1e-6)
+        for root, run in zip("ab", runs, strict=True):
+            parts = split_by_acceptance(read_all_headings(run)[method])
+            ends = [np.concatenate([getattr(part, one) for part in parts]) for one in ("truth", "predicted")]
+            np.testing.assert_allclose(read_error_field(written, method, root), ends, atol=1e-6)
 
 
 def test_the_other_way_round_every_change_turns_its_sign(runs: tuple[Path, Path]) -> None:
@@ -108,20 +108,18 @@ def test_settings_that_are_not_written_are_compared_at_their_defaults(copied: tu
 
 def test_changes_are_drawn_on_one_fixed_scale() -> None:
     change = np.array([-5.0, -1.0, -0.1, -0.01, 0.0, 0.005, 0.01, 0.1, 1.0, 5.0])
-    share = scale_change(change)
-    np.testing.assert_allclose(share, [-1, -1, -0.5, 0, 0, 0, 0, 0.5, 1, 1], atol=1e-12)
-    np.testing.assert_array_equal(share, -scale_change(-change))
-    colours = colours_of_change(np.array([-1.0, 0.0, 1.0])).astype(int)
-    assert colours[0, 2] > colours[0, 0]  # blue: better
-    assert np.ptp(colours[1, :3]) < 30  # grey: the same
-    assert colours[2, 0] > colours[2, 2]  # orange: worse
+    colours = colours_of_change(change).astype(int)
+    redder = colours[:, 0] - colours[:, 2]
+    assert (np.diff(redder) >= 0).all() and redder[0] < -100 and redder[-1] > 100  # blue: better; red: worse
+    same = (colours[np.abs(change) <= 0.01] == colours[4]).all()
+    assert same and (colours[0] == colours[1]).all() and np.ptp(colours[4, :3]) < 10
 
 
 def test_different_test_positions_stand_side_by_side_only(runs: tuple[Path, Path], tmp_path: Path) -> None:
     path = write_pair([runs[0], write_synthetic_run(tmp_path / "other", samples=40, spacing_m=0.5)])
     entities = {chunk.entity_path for chunk in RrdReader(path).stream()}
-    assert not any(entity.startswith("/change") for entity in entities)
-    assert {f"/{root}/error_field/deepgps" for root in "ab"} <= entities
+    assert not any(entity.startswith("/a/change") for entity in entities)
+    assert {f"/{root}/error_field/deepgps/accepted/arrows" for root in "ab"} <= entities
     (text,) = read_entity(path, "report/pair")["TextDocument:text"].to_pylist()
     assert "The rooms or test positions differ" in text[0]
     assert find_missing(path) == []
@@ -145,8 +143,6 @@ def test_the_same_pair_gives_the_same_file_and_both_runs_stay_as_they_are(copied
 
     before = files()
     first = write_pair(copied)
-    written = first.stat().st_mtime_ns
-    assert write_pair(copied).stat().st_mtime_ns == written
     kept = first.rename(first.with_name("kept.rrd"))
     assert write_pair(copied) == first
     assert files() == before
@@ -171,7 +167,7 @@ def test_the_command_writes_a_missing_or_damaged_recording_and_says_where_it_is(
         found = re.search(r"copy (\S+/pairs/\w+\.rrd) to a machine", done.stderr)
         assert found
         path = Path(found[1])
-        assert set(read_error_table(path, "b")["method"].to_pylist()) == set(METHODS)
+        assert all(len(read_error_field(path, method, "b")[0]) for method in METHODS)
         path.write_bytes(path.read_bytes()[:1000])
 
 

@@ -1,6 +1,5 @@
 """A run's recording: whole, read back as it was written, and one clear line where something is missing."""
 
-import re
 import shutil
 from itertools import pairwise
 from pathlib import Path
@@ -11,19 +10,16 @@ import pyarrow.compute as pc
 import pytest
 import rerun as rr
 from rerun.chunk import RrdReader
-from scipy.spatial import KDTree
 from scipy.spatial.distance import pdist
 
 from deepgps.config.methods import title_of
-from deepgps.evaluation.error_field import find_worst, read_all_headings, split_by_acceptance
+from deepgps.evaluation.error_field import read_all_headings, split_by_acceptance
 from deepgps.runs.run_folder import VIEWED
 from deepgps.viewer import drive
 from deepgps.viewer import run as recording
 from deepgps.viewer.drive import ROBOT
-from deepgps.viewer.error_field import COVERAGE, DENSITY, ELLIPSE_SCALE, ELLIPSES, MAX_RADIUS_M, SIGMA
-from deepgps.viewer.pictures import choose_views, write_pictures
+from deepgps.viewer.error_field import ACCEPTED, REFUSED, TRUST
 from deepgps.viewer.places import PICTURES, Place, find_places, turn_picture
-from deepgps.viewer.read import read_entity, read_error_table
 from deepgps.viewer.run import find_recording, write_run
 from deepgps.viewer.show import view
 from deepgps.viewer.stream import DRIVE_TIME, PLACE, STEP
@@ -31,8 +27,16 @@ from sim.errors import InputError, WorkError
 from sim.recording.format import finish_recording, open_recording, read_manifest
 from sim.sensors.camera.lens import make_lens, project_polar
 from sim.settings import CameraSettings
-from tests.helpers.blueprints import call_rerun, count_rows, find_missing, read_error_field, read_layout
-from tests.helpers.synthetic_run import METHODS, REFUSING, write_synthetic_run
+from tests.helpers.blueprints import (
+    call_rerun,
+    count_rows,
+    find_missing,
+    read_entity,
+    read_error_field,
+    read_layout,
+    read_static,
+)
+from tests.helpers.synthetic_run import REFUSING, write_synthetic_run
 
 SAMPLES = 60
 
@@ -53,11 +57,8 @@ def copied(run: Path, tmp_path: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def changed(run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A copy with large pictures, a long drive, a wrong track, and no training histories."""
+    """A copy with a long drive, a wrong track, and no training histories."""
     folder = Path(shutil.copytree(run, tmp_path_factory.mktemp("changed") / "copy"))
-    observation, poses = choose_views(folder)
-    assert len(observation) == len(poses) <= SAMPLES
-    write_pictures(folder, observation, np.zeros((len(observation), 32, 32, 3), np.uint8))
     path = folder / "recording" / "time.npy"
     np.save(path, 1000 * np.load(path))
     manifest = read_manifest(path.parent).model_dump(by_alias=True)
@@ -82,42 +83,12 @@ def read_places(run: Path) -> list[Place]:
     return find_places(run, read_all_headings(run), open_recording(run / "recording"))
 
 
-def read_flat(path: Path, entity: str, component: str) -> np.ndarray | list:
-    """All values of a component of a static entity."""
-    return read_entity(path, entity)[component].combine_chunks().flatten().to_pylist()
-
-
-def test_error_fields_read_back_as_they_were_measured_alone_and_in_the_table(run: Path) -> None:
-    table = read_error_table(run / VIEWED)
-    assert table.column_names == ["x_m", "y_m", "predicted_x_m", "predicted_y_m", "error_m", "heading_deg", "method"]
-    measured = {name: find_worst(field) for name, field in read_all_headings(run).items()}
-    assert table.num_rows == sum(len(field.error) for field in measured.values()) and list(measured) == list(METHODS)
-    for method, worst in measured.items():
-        field = read_error_field(run / VIEWED, method)
-        rows = table.filter(pc.field("method") == method)
-        of_table = (np.column_stack([rows[f"{of}{axis}_m"] for axis in "xy"]) for of in ("", "predicted_"))
-        for shown in ((field.truth, field.predicted, field.error), (*of_table, rows["error_m"])):
-            for one, expected in zip(shown, (worst.truth, worst.predicted, worst.error), strict=True):
-                np.testing.assert_allclose(one, expected, atol=1e-6)
-        np.testing.assert_allclose(worst.error, np.linalg.norm(worst.predicted - worst.truth, axis=1))
-
-
-def test_what_is_not_there_is_one_line_with_what_is(run: Path) -> None:
-    for read, wrong, message in (
-        (read_error_table, "a", "no error field below 'a'"),
-        (read_entity, "drive/tick", r"'drive/tick'.* has .*drive/ticks/left"),
-    ):
-        with pytest.raises(InputError, match=message):
-            read(run / VIEWED, wrong)
-
-
-def test_the_example_of_reading_back_works(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    page = (Path(__file__).parents[3] / "docs" / "how-to" / "viewer.md").read_text(encoding="utf-8")
-    (example,) = [block for block in re.findall(r"```python\n(.*?)```", page, re.S) if "read_error_table" in block]
-    code, found = re.subn(r'"runs/[^"]*run\.rrd"', repr(str(run / VIEWED)), example)
-    assert found
-    exec(code, {})
-    assert capsys.readouterr().out
+def test_error_fields_are_shown_as_they_were_measured(run: Path) -> None:
+    for method, field in read_all_headings(run).items():
+        for part, worst in zip((ACCEPTED, REFUSED), split_by_acceptance(field), strict=True):
+            truth, predicted = read_error_field(run / VIEWED, method, parts=(part,))
+            np.testing.assert_allclose(truth, worst.truth, atol=1e-6)
+            np.testing.assert_allclose(predicted, worst.predicted, atol=1e-6)
 
 
 def test_the_errors_of_each_snapshot_read_back(run: Path) -> None:
@@ -149,7 +120,7 @@ def test_drive_and_training_are_there_row_by_row(run: Path) -> None:
     counts, readings = count_rows(run / VIEWED), len(np.load(run / "recording" / "reading.npy"))
     expected = dict.fromkeys(["/drive/fisheye", "/drive/polar", f"/{ROBOT}"], SAMPLES)
     for path in (
-        *("drive/distance/encoder", "drive/distance/truth", "drive/segment_error"),
+        "drive/segment_error",
         *("world/reckoned/place", "world/reckoned/drift", "world/reckoned/leg", "encoders/drift"),
     ):
         expected[f"/{path}"] = readings
@@ -157,7 +128,7 @@ def test_drive_and_training_are_there_row_by_row(run: Path) -> None:
         with np.load(run / name / "history.npz") as history:
             expected[f"/training/{name}/loss"] = len(history["loss"])
             for path in (f"training/{name}", f"training_error/{name}", f"training_error/{name}/places"):
-                expected[f"/world/{path}"] = len(history["snapshot"])
+                expected[f"/world/{path}"] = len(history["snapshot"]) + 1  # the last also at the start of the drive
     assert expected.items() <= counts.items()
     assert counts["/world/reckoned/path"] == counts["/world/drive/path"] > 0
     assert {"/encoders/faults", "/encoders/segments", "/report/figures", "/report/text"} <= set(counts)
@@ -175,16 +146,11 @@ def test_every_arrow_and_dot_says_its_error_in_the_tooltip(run: Path) -> None:
     """The viewer lists at most three components that differ from arrow to arrow."""
     places = read_places(run)
     for method in ("posenet", "knn"):
-        marks = {one.cell: f", place {len(places) - k}" for k, one in enumerate(places) if one.method == method}
+        marks = {one.at[0]: f", place {k}" for k, one in enumerate(places, 1) if one.method == method}
         assert len(marks) > 1
         accepted, refused = split_by_acceptance(read_all_headings(run)[method])
-        large = accepted.error > 0.1
         assert (len(refused.error) > 0) == (method in REFUSING)
-        for part, field, before in (
-            ("above_10_cm", accepted.take(large), ""),
-            ("below_10_cm", accepted.take(~large), ""),
-            ("refused", refused, "refused: "),
-        ):
+        for part, field, before in ((ACCEPTED, accepted, ""), (REFUSED, refused, "refused: ")):
             radii = field.error if field.radius is None else field.radius
             expected = [
                 f"{before}{100 * error:.1f}{'' if field.radius is None else f' (± {100 * radius:.1f})'} cm, "
@@ -194,52 +160,34 @@ def test_every_arrow_and_dot_says_its_error_in_the_tooltip(run: Path) -> None:
                 )
             ]
             for shape, position in (("arrows", "LineStrips3D:strips"), ("places", "Points3D:positions")):
-                rows = read_entity(run / VIEWED, f"world/error_field/{method}/worst/{part}/{shape}")
+                rows = read_entity(run / VIEWED, f"world/error_field/{method}/{part}/{shape}")
                 values = {name: rows[name].combine_chunks().flatten() for name in rows.column_names}
                 assert values["error"].to_pylist() == expected and len(values[position]) == len(expected)
                 assert values["method"].to_pylist() == [title_of(method)]
                 assert sum(len(column) > 1 for column in values.values()) <= 3
 
 
-def test_each_heading_can_be_switched_on(run: Path) -> None:
-    with np.load(run / "error_field.npz") as arrays:
-        truth, heading, predicted = arrays["truth"], arrays["heading"], arrays["deepgps"]
-    hidden = [entity for entity, seen in read_layout(run / VIEWED, "EntityBehavior:visible") if not all(seen)]
-    for number, one in enumerate(heading):
-        path = f"world/error_field/deepgps/heading/{round(np.degrees(one)) % 360:03d}_deg"
-        strips = np.array(read_flat(run / VIEWED, f"{path}/arrows", "LineStrips3D:strips"))
-        np.testing.assert_allclose(strips[:, 0, :2], truth, atol=1e-6)
-        np.testing.assert_allclose(strips[:, 1, :2], predicted[:, number], atol=1e-6)
-        assert any(entity.endswith(f"{path}/visualizers") for entity in hidden)
+def test_numbers_of_metres_stand_where_they_say(run: Path) -> None:
+    labels, places = (read_static(run / VIEWED, "world/metres", f"Points3D:{one}") for one in ("labels", "positions"))
+    number = np.array([float(one.removesuffix(" m")) for one in labels])
+    off = np.abs(np.array(places)[:, :2] - number[:, None])
+    assert len(number) > 8 and off.min(axis=1).max() < 0.11  # along x or y; the latter stand a little higher
 
 
-def test_density_counts_every_image_and_lies_with_coverage_between_floor_plan_and_arrows(run: Path) -> None:
-    path = run / VIEWED
-    assert sum(read_flat(path, DENSITY, "images")) == SAMPLES
-    floor = read_entity(path, "world/floor_plan")["GridMap:translation"].to_pylist()[0][0][2]
-    arrows = read_flat(path, "world/error_field/deepgps/heading/000_deg/arrows", "LineStrips3D:strips")
-    above = np.array(arrows)[..., 2].min()
-    for layer in (COVERAGE, DENSITY):
-        middle, half = (np.array(read_flat(path, layer, f"Boxes3D:{part}"))[:, 2] for part in ("centers", "half_sizes"))
-        # a gap of 3.5 mm was too small: the viewer drew the floor plan over the layer
-        assert len(middle) and (floor + 0.009 < middle - half).all() and (middle + half + 0.009 < above).all()
-
-
-def test_both_timelines_of_places_end_with_the_worst_of_the_first_method(run: Path) -> None:
+def test_places_begin_with_the_worst_of_the_first_method_which_the_drive_shows(run: Path) -> None:
     places = read_places(run)
-    for timeline in (PLACE, DRIVE_TIME):
-        rows = read_along(run, "place/text", timeline)
-        texts = ["".join(text) for text in rows["TextDocument:text"].to_pylist()][::-1]
-        for place, text in zip(places, texts, strict=True):
-            error = 100 * place.field.error[place.at]
-            assert text.startswith(f"# {title_of(place.method)}: {error:.1f} cm")
-            if place.why.startswith("Worst place 1 "):
-                assert error == pytest.approx(100 * place.field.error.max())
+    texts = ["".join(text) for text in read_along(run, "place/text", PLACE)["TextDocument:text"].to_pylist()]
+    for place, text in zip(places, texts, strict=True):
+        error = 100 * place.field.error[place.at]
+        assert text.startswith(f"# {title_of(place.method)}: {error:.1f} cm")
+        if place.rank.startswith("Worst place 1 "):
+            assert error == pytest.approx(100 * place.field.error.max())
     assert read_along(run, "place/text", PLACE)[PLACE].to_pylist() == list(range(1, len(places) + 1))
+    (shown,) = read_along(run, "place/text", DRIVE_TIME)["TextDocument:text"].to_pylist()
+    assert shown == [texts[0]]
     counts = count_rows(run / VIEWED)
     for name in PICTURES:
-        for kind in ("round", "polar"):
-            assert counts[f"/place/{name}/{kind}"] == counts["/world/place/error"] == len(places)
+        assert counts[f"/place/{name}"] == counts["/world/place/error"] == len(places) + 1
 
 
 def test_a_picture_turned_to_another_heading_is_as_the_camera_sees_there() -> None:
@@ -263,36 +211,23 @@ def test_a_picture_turned_to_another_heading_is_as_the_camera_sees_there() -> No
 def test_worst_places_are_apart_and_in_order(run: Path) -> None:
     places = read_places(run)
     for method, field in read_all_headings(run).items():
-        cells = [place.cell for place in places if place.method == method]
+        cells = [place.at[0] for place in places if place.method == method]
         assert (np.diff(field.error[cells].max(axis=1)) <= 0).all()
         assert pdist(field.truth[cells]).min() > 0.25
 
 
-def test_radii_and_ellipses_are_of_what_is_accepted(run: Path) -> None:
-    for method, field in read_all_headings(run).items():
-        if method not in REFUSING:
-            with pytest.raises(InputError, match="no entity"):
-                read_entity(run / VIEWED, f"world/error_field/{method}/{SIGMA}")
-            continue
-        accepted, _ = split_by_acceptance(field)
-        path, strips = f"world/error_field/{method}", "LineStrips3D:strips"
-        assert accepted.radius is not None
-        ellipses = np.array(read_flat(run / VIEWED, f"{path}/{ELLIPSES}", strips))[..., :2]
-        apart, near = KDTree(accepted.predicted).query((ellipses.min(axis=1) + ellipses.max(axis=1)) / 2.0)
-        half = np.ptp(ellipses, axis=1) / 2.0 / ELLIPSE_SCALE  # axes are x and y, twice as long along x
-        assert len(half) > 0.9 * (accepted.radius < MAX_RADIUS_M / 2).sum() > 0.0 and apart.max() < 1e-5
-        np.testing.assert_allclose(half[:, 0], 2.0 * half[:, 1], rtol=1e-3)
-        np.testing.assert_allclose(np.sqrt((half**2).mean(axis=1)), 2.0 * accepted.radius[near], rtol=1e-3)
-        largest = 100 * np.where(field.is_accepted, np.asarray(field.radius), 0).max(axis=1)
-        expected = [f"68 % within {one:.1f} cm" if one else "refused at all headings" for one in largest]
-        assert read_flat(run / VIEWED, f"{path}/{SIGMA}", "radius") == expected and 0 in largest
+def test_radii_are_the_largest_of_what_is_accepted(run: Path) -> None:
+    (method, field) = next(iter(read_all_headings(run).items()))
+    largest = 100 * np.where(field.is_accepted, np.asarray(field.radius), 0).max(axis=1)
+    expected = [f"68 % within {one:.1f} cm" if one else "refused at all headings" for one in largest]
+    assert read_static(run / VIEWED, f"{TRUST}/{method}", "radius") == expected and 0 in largest
 
 
 def test_a_worst_place_shows_its_radii_and_says_whether_it_was_refused(run: Path) -> None:
     places = read_places(run)
-    shown = {"place/text": "TextDocument:text", "world/place/test/label": "Points3D:labels"}
+    shown = {"place/text": "TextDocument:text", "world/place/label": "Points3D:labels"}
     shown["world/place/radius"] = "LineStrips3D:strips"
-    texts, labels, circles = (read_along(run, path, PLACE)[name].to_pylist()[::-1] for path, name in shown.items())
+    texts, labels, circles = (read_along(run, path, PLACE)[name].to_pylist() for path, name in shown.items())
     assert len(texts) == len(circles) == len(places)
     for (text,), drawn, (label,), place in zip(texts, circles, labels, places, strict=True):
         field, at = place.field, place.at
@@ -311,16 +246,15 @@ def test_the_recording_is_whole_without_wall_clock(run: Path) -> None:
     assert find_missing(path) == []
 
 
-def test_a_long_drive_has_fewer_pictures_and_large_ones_where_they_were_drawn(changed: Path) -> None:
+def test_a_long_drive_has_fewer_pictures(changed: Path) -> None:
     counts = count_rows(changed / VIEWED)
     assert counts["/drive/fisheye"] == counts["/drive/polar"] == 20  # every third of 60
     assert counts[f"/{ROBOT}"] == SAMPLES
-    assert counts["/drive/large"] == len(choose_views(changed)[0])
     assert find_missing(changed / VIEWED) == []
 
 
 def test_the_robot_is_as_large_as_it_is_and_not_as_odometry_has_it(run: Path, changed: Path) -> None:
-    radii = [read_flat(folder / VIEWED, f"{ROBOT}/body", "Cylinders3D:radii") for folder in (run, changed)]
+    radii = [read_static(folder / VIEWED, f"{ROBOT}/body", "Cylinders3D:radii") for folder in (run, changed)]
     np.testing.assert_allclose(*radii)  # pyright: ignore
 
 
@@ -329,7 +263,7 @@ def test_the_slider_has_the_seconds_of_the_drive_and_is_played_in_a_hundred(chan
     at = read_along(changed, ROBOT, DRIVE_TIME)[DRIVE_TIME].to_numpy().astype(float) / 1e9
     assert (at[0], at[-1]) == pytest.approx((time_s[0], time_s[-1]), abs=1.0) and np.ptp(time_s) > 3600
     places = read_along(changed, "place/text", DRIVE_TIME)[DRIVE_TIME].to_numpy().astype(float) / 1e9
-    assert places[-1] == pytest.approx(time_s[-1], abs=1.0)
+    assert places.tolist() == [pytest.approx(time_s[0], abs=1.0)]
     ((_, (speed,)),) = read_layout(changed / VIEWED, "TimePanelBlueprint:playback_speed")
     assert np.ptp(time_s) / speed == pytest.approx(100.0)
     ranges = [one["range"] for _, some in read_layout(changed / VIEWED, "VisibleTimeRanges:ranges") for one in some]

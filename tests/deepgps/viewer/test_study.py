@@ -17,21 +17,19 @@ from deepgps.studies.plan import Plan, plan_runs
 from deepgps.studies.study import load_study
 from deepgps.studies.table import gather, write_table
 from deepgps.viewer import study as viewer
-from deepgps.viewer.error_field import PARTS, REFUSED_PART
-from deepgps.viewer.read import read_entity, read_error_table
+from deepgps.viewer.error_field import ACCEPTED, REFUSED
 from deepgps.viewer.show import view
-from deepgps.viewer.sliders import Slider, Step, find_sliders
+from deepgps.viewer.sliders import find_sliders
 from deepgps.viewer.study import STUDY as STUDY_RRD
 from deepgps.viewer.study import find_study, write_length
 from deepgps.viewer.study import write_study as write_rrd
 from sim.errors import InputError
-from tests.helpers.blueprints import call_rerun, find_missing
+from tests.helpers.blueprints import call_rerun, find_missing, read_entity
 from tests.helpers.command import deepgps_here, wait_until
 from tests.helpers.small_study import finish, start, write_study
 from tests.helpers.synthetic_study import METHODS, NOISES, ROOMS, STUDY, make_room, write_synthetic_study
 
 AXIS = "encoder.step_noise"
-LINE = f"{AXIS} [1/10]"
 
 
 @pytest.fixture(scope="module")
@@ -65,12 +63,12 @@ def cells(path: Path, entity: str, component: str) -> Iterator[tuple[str, int, A
 
 
 def fields(
-    path: Path, method: str, parts: Sequence[str] = PARTS
+    path: Path, method: str, parts: Sequence[str] = (ACCEPTED, REFUSED)
 ) -> dict[tuple[str, int], tuple[np.ndarray, np.ndarray]]:
     """Arrows of a method at every place of every slider in order: where they begin, and their way (n, 2)."""
     strips: dict[tuple[str, int], list[np.ndarray]] = {}
     for part in parts:
-        entity = f"/world/error_field/{method}/worst/{part}/arrows"
+        entity = f"/world/error_field/{method}/{part}/arrows"
         for line, at, value in cells(path, entity, "LineStrips3D:strips"):
             strips.setdefault((line, at), []).append(np.reshape(value, (-1, 5, 3))[:, :2, :2])
     ends = {key: in_order(np.concatenate(parts)) for key, parts in strips.items()}
@@ -101,9 +99,9 @@ def test_each_place_of_each_slider_shows_the_error_field_of_its_run(study, metho
     folder, plans = study
     shown = fields(folder / STUDY_RRD, method)
     expected = {
-        **{(LINE, round(10 * noise)): find(plans, ROOMS[0], noise, 0) for noise in NOISES},
+        **{(AXIS, index + 1): find(plans, ROOMS[0], noise, 0) for index, noise in enumerate(NOISES)},
         **{("case", index + 1): find(plans, room, NOISES[0], 0) for index, room in enumerate(ROOMS)},
-        **{("seed", seed): find(plans, ROOMS[0], NOISES[0], seed) for seed in (0, 1)},
+        **{("seed", seed + 1): find(plans, ROOMS[0], NOISES[0], seed) for seed in (0, 1)},
         **{("run", index + 1): plan for index, plan in enumerate(plans)},
     }
     assert shown.keys() == expected.keys()
@@ -116,36 +114,21 @@ def test_each_place_of_each_slider_shows_the_error_field_of_its_run(study, metho
         np.testing.assert_allclose(np.concatenate(shown[key], axis=1), expected_rows, atol=1e-5)
 
 
-def test_the_error_fields_of_many_runs_are_not_read_back_as_one(study):
-    path = study[0] / STUDY_RRD
-    with pytest.raises(InputError, match="has error fields of several runs; read_entity"):
-        read_error_table(path)
-    assert LINE in read_entity(path, f"world/error_field/deepgps/worst/{PARTS[0]}/arrows").column_names
-
-
-def test_every_room_fills_the_same_rectangle(study):
-    path = study[0] / STUDY_RRD
-    scales = {key[:2]: key[2][0] for key in cells(path, "/world", "Transform3D:scale")}
-    moves = {key[:2]: key[2][0] for key in cells(path, "/world", "Transform3D:translation")}
-    assert set(scales) == {("case", 1), ("case", 2), (LINE, 0), ("seed", 0), ("run", 1), ("run", 7)}
-    assert {(line, at) for line, at, _ in cells(path, "/world/floor_plan", "GridMap:data")} == set(scales)
-    corners = []
+def test_every_room_is_drawn_at_its_own_size(study):
+    shown = {key[:2]: key[2] for key in cells(study[0] / STUDY_RRD, "/world/outline", "LineStrips3D:strips")}
     for index, room in enumerate(ROOMS):
-        scale, move = scales["case", index + 1][0], np.array(moves["case", index + 1][:2])
-        corners.append(np.stack(plots.limits(make_room(room))) * scale + move)
-    for corner in corners:
-        np.testing.assert_allclose(corner[0], -corner[1], atol=1e-5)
-    np.testing.assert_allclose(np.ptp(corners[0], axis=0)[0], np.ptp(corners[1], axis=0)[0], rtol=0.05)
+        points = np.concatenate([np.array(strip)[:, :2] for strip in shown["case", index + 1]])
+        low, high = plots.limits(make_room(room), margin_m=0.0)
+        np.testing.assert_allclose([points.min(axis=0), points.max(axis=0)], [low, high], atol=1e-5)
 
 
 def test_the_text_says_where_a_slider_stands_and_what_the_others_are(study):
     path = study[0] / STUDY_RRD
     here = texts(path, "/report/here")
-    assert here[LINE, 3].startswith(f"# {AXIS} 0.3\n")
-    assert "RMS of all 2 seeds: DeepGPS " in here[LINE, 3]
-    assert "| PoseNet |" in here[LINE, 3]
+    assert here[AXIS, 3].startswith(f"# {AXIS} 0.3\n")
+    assert "RMS of all 2 seeds: DeepGPS " in here[AXIS, 3]
+    assert "| PoseNet |" in here[AXIS, 3]
     assert here["case", 2].startswith("# case room.seed 2")
-    assert texts(path, "/heading/deepgps", "Points3D:labels")[LINE, 1].startswith(f"{AXIS} 0.1\nRMS ")
     guide = read_text(path, "report/sliders")
     assert f"The slider at the bottom moves `{AXIS}`" in guide
     assert f"- **{AXIS}**: `0`, `0.1`, `0.3` (with room.seed 1, seed 0)" in guide
@@ -153,51 +136,26 @@ def test_the_text_says_where_a_slider_stands_and_what_the_others_are(study):
     assert read_text(path, "report/table") == (study[0] / "table.md").read_text()
 
 
-def test_curves_run_along_the_slider_with_the_best_and_the_worst_seed(study):
-    folder, plans = study
-    rows = [row for row in gather(plans, {}, folder) if (row["method"], row["room.seed"]) == ("deepgps", ROOMS[0])]
-    for name in ("rms", "median"):
-        curve = cells(folder / STUDY_RRD, f"/curve/{name}/deepgps", "Scalars:scalars")
-        shown = {at: values for line, at, values in curve if line == LINE}
-        assert list(shown) == [round(10 * noise) for noise in NOISES]
-        for noise, values in zip(NOISES, shown.values(), strict=True):
-            errors = [100 * row[f"{name}_m"] for row in rows if row[AXIS] == noise]
-            assert len(errors) == 2
-            np.testing.assert_allclose(10.0 ** np.array(values), [np.mean(errors), min(errors), max(errors)])
-
-
-def test_a_slider_has_its_values_on_its_timeline() -> None:
-    for values, timeline, places in (
-        ([0.0, 0.02, 0.1], "noise [1/100]", [0, 2, 10]),
-        ([16.0, 64.0, 4096.0], "noise", [16, 64, 4096]),
-        ([-0.5, 0.0, 0.5], "noise [1/10]", [-5, 0, 5]),
-        ([None, None], "noise", [1, 2]),
-        ([1 / 3, 2 / 3], "noise", [1, 2]),
-    ):
-        slider = Slider("noise", [Step("", "", [], [], number) for number in values], "")
-        assert (slider.timeline, slider.places) == (timeline, places)
-
-
 def test_the_file_is_whole_and_small_without_wall_clock_and_every_view_shows_what_was_logged(study):
     path = study[0] / STUDY_RRD
     names = {name for chunk in RrdReader(path).stream() for name in chunk.timeline_names}
-    assert names == {LINE, "case", "seed", "run"}
+    assert names == {AXIS, "case", "seed", "run"}
     assert find_missing(path) == []
     assert path.stat().st_size < 2_000_000
     call_rerun("verify", (path))
 
 
-def test_equal_studies_give_equal_contents_and_what_stands_is_not_written_again(study, copied, monkeypatch):
+def test_equal_studies_give_equal_contents_and_an_older_recording_is_written_again(study, copied, monkeypatch):
     (copied / STUDY_RRD).unlink()
     pair = [study[0] / STUDY_RRD, find_study(copied)]
     assert len({RrdReader(path).recordings()[0].recording_id for path in pair}) == 1
     call_rerun("compare", "--unordered", *pair)
     written = []
-    monkeypatch.setattr(viewer, "_write", lambda *words: written.append(words))
-    assert write_rrd(copied) == find_study(copied) == pair[1] and not written
+    monkeypatch.setattr(viewer, "write_study", written.append)
+    assert find_study(copied) == pair[1] and not written
     (copied / "table.md").write_text("a report after which the study was interrupted")
-    for number, write in enumerate((write_rrd, find_study), 1):
-        assert write(copied) == pair[1] and len(written) == number
+    find_study(copied)
+    assert written == [copied]
 
 
 def test_a_run_that_failed_shows_nothing_and_another_seed_stands_in(tmp_path):
@@ -206,29 +164,9 @@ def test_a_run_that_failed_shows_nothing_and_another_seed_stands_in(tmp_path):
     path = write_rrd(tmp_path)
     shown = fields(path, "deepgps")
     with np.load(tmp_path / "runs" / plans[1].run / "error_field.npz") as arrays:
-        np.testing.assert_allclose(shown[LINE, 0][0], in_order(arrays["truth"]), atol=1e-5)
-    assert len(shown[LINE, 1][0]) == 0
-    assert texts(path, "/heading/deepgps", "Points3D:labels")[LINE, 1] == f"{AXIS} 0.1\nfailed"
-    assert texts(path, "/report/here")[LINE, 1].endswith("This run failed: it did not want to")
-
-
-def test_a_slider_with_too_many_places_is_left_out_and_that_is_said(copied, monkeypatch):
-    monkeypatch.setattr(viewer, "MAX_PLACES", 11)
-    (copied / STUDY_RRD).unlink()
-    path = write_rrd(copied)
-    assert {line for line, _ in fields(path, "deepgps")} == {LINE, "case", "seed"}
-    assert "it has too many positions: run." in read_text(path, "report/sliders")
-
-
-def test_a_large_study_is_thinned_and_says_so(study, copied, monkeypatch):
-    whole = fields(study[0] / STUDY_RRD, "deepgps")[LINE, 0][0]
-    monkeypatch.setattr(viewer, "MAX_ARROWS", 19 * 2 * len(whole) // 3 + 1)  # 19 places on four sliders, two methods
-    (copied / STUDY_RRD).unlink()
-    path = write_rrd(copied)
-    with np.load(copied / "runs" / find(study[1], ROOMS[0], NOISES[0], 0).run / "error_field.npz") as arrays:
-        thin = in_order(arrays["truth"][::3])
-    np.testing.assert_allclose(fields(path, "deepgps")[LINE, 0][0], thin, atol=1e-5)
-    assert "Only one in 3 test positions is drawn" in read_text(path, "report/sliders")
+        np.testing.assert_allclose(shown[AXIS, 1][0], in_order(arrays["truth"]), atol=1e-5)
+    assert len(shown[AXIS, 2][0]) == 0
+    assert texts(path, "/report/here")[AXIS, 2].endswith("This run failed: it did not want to")
 
 
 def test_a_study_that_is_not_whole_is_one_clear_line_that_names_the_file(copied, tmp_path):
@@ -314,20 +252,6 @@ def test_where_the_scenario_is_one_of_many_cases_the_others_say_only_what_they_c
     assert elsewhere.steps[0].value == "step_noise 0, dropout 0"
 
 
-def test_a_setting_that_grows_alone_in_some_of_the_cases_has_a_slider_of_its_own(tmp_path):
-    both = {"encoder.dropout": 0.3, "encoder.step_noise": 0.3}
-    cases = [{}, {"encoder.step_noise": 0.3}, {"encoder.step_noise": 0.1}, {"encoder.dropout": 0.3}, both]
-    rows = rows_of(tmp_path, cases=cases, seeds=[0, 1])
-    sliders = find_sliders(rows, [], {"encoder.step_noise": 0.0, "encoder.dropout": 0.0})
-    assert [slider.name for slider in sliders] == ["case", "encoder.step_noise", "seed", "run"]  # lost has one value
-    noise = sliders[1]
-    assert ([step.value for step in noise.steps], noise.others) == (["0", "0.1", "0.3"], "seed 0")
-    assert [step.rows[0]["encoder.step_noise"] for step in noise.steps] == [0.0, 0.1, 0.3]
-    assert all(step.rows[0]["encoder.dropout"] == 0.0 for step in noise.steps)
-    alone = find_sliders(rows_of(tmp_path, cases=cases[:3]), [], {"encoder.step_noise": 0.0})
-    assert [slider.name for slider in alone] == ["case"]  # which is the same
-
-
 def test_a_study_of_one_run_has_a_slider_with_one_place(tmp_path):
     (slider,) = find_sliders(rows_of(tmp_path, cases=[{}]), [], {})
     assert (slider.name, [step.value for step in slider.steps]) == ("run", ["seed 0"])
@@ -360,9 +284,9 @@ def test_a_study_that_was_killed_leaves_its_recording_when_it_is_run_again(tmp_p
     assert not list(out.glob("*.deepgps-part"))
     call_rerun("verify", (out / STUDY_RRD))
     runs = {plan.scenario.encoder.step_noise: plan.run for plan in plan_runs(load_study(str(study), tiny=True))}
-    for noise in (0.0, 0.3):
+    for place, noise in enumerate((0.0, 0.3), 1):
         with np.load(out / "runs" / runs[noise] / "error_field.npz") as arrays:
-            shown = fields(out / STUDY_RRD, "deepgps", [*PARTS, REFUSED_PART])[LINE, round(10 * noise)]
+            shown = fields(out / STUDY_RRD, "deepgps")[AXIS, place]
             places = {tuple(place) for place in shown[0].round(4).tolist()}  # one with headings of both kinds is in two
             assert places == {tuple(place) for place in arrays["truth"].round(4).tolist()}
     done = deepgps_here("view", str(out), cwd=tmp_path)
