@@ -88,7 +88,7 @@ OPENS_TRUTH = (
     *("deepgps.reports.run_figures", "deepgps.reports.plots"),
     "deepgps.robot_io.trajectories",  # which writes the truth beside the methods' poses
     "deepgps.api.record",  # which writes the truth that its caller has, and reads none
-    *(f"deepgps.studies.reports.{name}" for name in ("mds", "from_runs")),
+    "deepgps.studies.reports.from_runs",
 )
 OPENS_ALIGNMENT = ("deepgps.evaluation", "deepgps.api.run", "deepgps.viewer")
 """The alignment of a map with the world is fitted on the truth."""

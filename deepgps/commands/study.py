@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
@@ -43,7 +44,6 @@ class StudyArguments:
 
 def study_command(words: Sequence[str]) -> None:
     """Run a study: make every missing recording and run, one table of all runs, the report and the figures."""
-    from deepgps.studies.catalog import REPORTS
     from deepgps.studies.plan import plan_runs
     from deepgps.studies.study import load_study
 
@@ -56,43 +56,41 @@ def study_command(words: Sequence[str]) -> None:
         plans = plan_runs(study, progress)
     # These import torch and matplotlib, which takes longer than checking a study.
     from deepgps.runs.collect import choose_renderer_for
-    from deepgps.studies.engine.engine import (
-        carry_out,
-        claim_study,
-        default_folder,
-        foresee,
-        list_undriven,
-        open_engine,
-    )
-    from deepgps.studies.reports.report import check_publish, publish, report_study
+    from deepgps.studies.engine.engine import carry_out, claim_study, find_missing, find_place, foresee, open_engine
+    from deepgps.studies.engine.recordings import list_undriven
+    from deepgps.studies.reports.report import publish, report_study
 
-    folder = arguments.out or default_folder(study)
-    undriven = list_undriven(study, plans, folder, arguments.fresh)
+    folder = arguments.out or Path("runs") / "studies" / study.name
+    place = find_place(folder, arguments.fresh)
+    with show_progress(errors, quiet_s=2.0) as progress:
+        missing = find_missing(plans, place, progress)
+    undriven = list_undriven(plans, missing, place)
     choose_renderer_for(undriven)
-    if arguments.publish:
-        check_publish(arguments.publish / study.name)
+    pages = arguments.publish and arguments.publish / study.name
+    if pages and pages.exists() and not pages.is_dir():
+        raise InputError(f"--publish: {pages} is not a folder")
     with (
         working_in(folder),
         open_engine(arguments.engine, arguments.address) as run_all,
-        claim_study(study, folder, arguments.fresh) as place,
+        claim_study(study, folder, arguments.fresh),
     ):
-        if expected := foresee(study, plans, undriven, place):
+        if expected := foresee(missing, undriven):
             errors.print(expected, highlight=False)
         with show_progress(errors) as progress:
-            failures = carry_out(study, plans, place, run_all, progress)
-        say(report_study(study, plans, failures, place))
-        if arguments.publish and failures:
-            say(f"not copied to {arguments.publish / study.name}: some runs failed")
-        elif arguments.publish:
-            publish(study, place, arguments.publish / study.name)
-            say(f"copied to {arguments.publish / study.name}")
-        if len(failures) < len(plans) and not REPORTS[study.report].gather:
+            failures = carry_out(plans, missing, place, run_all, progress)
+        with show_progress(errors, quiet_s=2.0) as progress:
+            text = report_study(study, plans, failures, place, progress)
+        say(text)
+        if pages and failures:
+            say(f"not copied to {pages}: some runs failed")
+        elif pages:
+            publish(study, place, pages)
+            say(f"copied to {pages}")
+        if len(failures) < len(plans):
             from deepgps.viewer.study import write_study
 
             write_study(place)
         if failures:
             raise WorkError(f"{len(failures)} of {len(plans)} runs failed; {place / 'table.md'} says why")
-    if REPORTS[study.report].gather:
-        return
     run = folder / "runs" / plans[0].run
     say(f"look at it: deepgps view {quote_path(folder)}, or at a run: deepgps view {quote_path(run)}")

@@ -14,7 +14,6 @@ from scipy.spatial import KDTree
 from deepgps.evaluation.error_field import ErrorField, find_rms, find_worst
 from deepgps.positioner.pose import Poses
 from sim.alignment import Alignment
-from sim.geometry import FreeSpace
 
 SEEN_RADIUS_M = 0.25
 OFF_CENTRE = 0.25
@@ -51,31 +50,6 @@ def name_part(cells: np.ndarray, chosen: np.ndarray) -> str | None:
     north = "north" if y > OFF_CENTRE else "south" if y < -OFF_CENTRE else ""
     east = "east" if x > OFF_CENTRE else "west" if x < -OFF_CENTRE else ""
     return "-".join(filter(None, (north, east))) or None
-
-
-RAYS = 180
-
-
-def measure_visible(space: FreeSpace, points: np.ndarray) -> np.ndarray:
-    """Share (C,) of the reachable floor that straight drives from points (C, 2) [m] reach; 0 if the robot does not fit.
-
-    Rays are followed from the point to the first cell where the robot does not fit; a ray of length r represents a
-    sector of area ``pi r^2 / rays`` (the isovist of Benedikt 1979, with the robot's centre in place of an eye).
-    """
-    angle = 2 * np.pi * (np.arange(RAYS) + 0.5) / RAYS
-    direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    # Distance of each cell from where the robot does not fit: a ray may skip it in one step. The padding is occupied.
-    clear = np.asarray(ndimage.distance_transform_edt(np.pad(space.free, 1))) * space.cell_m
-    start, direction = np.repeat(points, RAYS, axis=0), np.tile(direction, (len(points), 1))
-    length, going = np.zeros(len(start)), np.arange(len(start))
-    while len(going):
-        place = start[going] + length[going, None] * direction[going]
-        column, row = (np.rint((place - space.origin) / space.cell_m).astype(int) + 1).T
-        gap = clear[row.clip(0, clear.shape[0] - 1), column.clip(0, clear.shape[1] - 1)]
-        going, gap = going[gap > 0.0], gap[gap > 0.0]
-        length[going] += np.maximum(gap - space.cell_m, space.cell_m / 2)
-    length = length.reshape(len(points), RAYS)
-    return np.minimum(np.pi * np.square(length).mean(axis=1) / (space.reachable.sum() * space.cell_m**2), 1.0)
 
 
 PATCH_SPACING_M = 0.1  # Side of the cells on which patches are measured [m]

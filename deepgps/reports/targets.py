@@ -20,7 +20,7 @@ FORMS = {
 }
 SUFFIXES = {"_m": "cm", "_s": "s"}
 SHARES = (
-    *("relative_rms", "relative_median", "seen", "flipped", "accepted", "misplaced", "turned", "planar"),
+    *("relative_rms", "relative_median", "seen", "flipped", "accepted", "misplaced", "turned"),
     *("radius_68_holds", "radius_95_holds", "grid_68", "grid_95", "use_68", "use_95", "within_2_cm", "within_5_cm"),
     *("success_0_1m", "success_0_2m", "runs_without_collision", "carried_success_0_2m", "late_success_0_1m"),
     *("refused", "large_refused", "images", "right_share", "interval_holds", "holds_with_fault", "map_too_large"),

@@ -7,9 +7,8 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from deepgps.config.methods import find_method
 from deepgps.config.plain_yaml import read_yaml
-from deepgps.config.scenario import Scenario, find_settings, flatten, override_scenario
+from deepgps.config.scenario import find_settings, flatten, override_scenario
 from deepgps.config.setting_problems import MAX_PROBLEMS, join_problems
 from deepgps.runs.inputs import digest, digest_recording, read_room
 from deepgps.studies.catalog import REPORTS
@@ -83,19 +82,9 @@ def _make_planner(study: Study) -> Callable[[int, Point], Plan]:
             raise found
         path, values = found
         scenario = override_scenario(values, path, {**study.set, **methods, **flatten(settings), "seed": seed})
-        _check_report_of(study.report, scenario)
         return Plan(scenario, varied, digest(scenario, room), digest_recording(scenario, room))
 
     return plan
-
-
-def _check_report_of(name: str, scenario: Scenario) -> None:
-    """Raise InputError if the report could not show a run of this scenario."""
-    report = REPORTS[name]
-    if wrong := [method for method in scenario.methods if report.networks and not find_method(method).in_steps]:
-        raise InputError(f"methods {wrong[0]}: report {name} needs methods that train a network")
-    if report.labels and not scenario.tag_camera.mounted:
-        raise InputError(f"tag_camera.mounted False: report {name} needs labels from tags, so it must be True")
 
 
 def _refuse_twins(study: Study, plans: Sequence[Plan]) -> None:

@@ -95,19 +95,10 @@ class Study(Variation):
         return self
 
     @model_validator(mode="after")
-    def _what_the_report_needs_is_there(self) -> "Study":
-        report, varied = REPORTS[self.report], {*self.axes, *(name for case in self.cases for name in case)}
-        for names, known, where in (
-            (report.varies, varied, "vary in cases or axes"),
-            (report.sets, varied | set(self.set), "be in set, cases or axes"),
-        ):
-            if missing := [name for name in names if name not in known]:
-                raise ValueError(f"report {self.report} needs {missing[0]} to {where}")
-        for name in report.fixes:
-            value = self.set.get(name)
-            if name in varied or type(value) is not int:
-                given = "in cases or axes" if name in varied else quote(value) if name in self.set else "missing"
-                raise ValueError(f"report {self.report} needs {name} to be a whole number in set, and it is {given}")
+    def _what_the_report_needs_varies(self) -> "Study":
+        varied = {*self.axes, *(name for case in self.cases for name in case)}
+        if missing := [name for name in REPORTS[self.report].varies if name not in varied]:
+            raise ValueError(f"report {self.report} needs {missing[0]} to vary in cases or axes")
         return self
 
     @model_validator(mode="after")

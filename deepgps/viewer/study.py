@@ -19,7 +19,6 @@ from deepgps.config.setting_problems import describe_problems
 from deepgps.evaluation.error_field import read_all_headings
 from deepgps.reports.table import tabulate
 from deepgps.runs.run_folder import is_study
-from deepgps.studies.catalog import REPORTS
 from deepgps.studies.study import Study
 from deepgps.studies.table import Row, find_methods, read_rows, read_setting, split_by, varied_in
 from deepgps.viewer.error_field import NO_PLACES, log_field
@@ -108,8 +107,6 @@ def read_study(folder: Path) -> tuple[Study, list[Row]]:
         study = Study.model_validate(read_yaml(folder / "study.yaml"))
     except ValidationError as error:
         raise InputError(f"{folder / 'study.yaml'}: {describe_problems(error, Study)}") from None
-    if REPORTS[study.report].gather:
-        raise InputError(f"{folder} is a study without maps to view; its page is {folder / 'table.md'}")
     try:
         rows = read_rows(path)
     except (pa.ArrowException, OSError) as error:

@@ -29,7 +29,7 @@ SMALL_STUDY = {"carpet": ("carpet", "--tiny"), "noise_w": ("noise_w", "--tiny"),
 TESTED_ELSEWHERE = {
     "deepgps locate runs/mine drive.mcap --config robot.yaml --track": ("tests/deepgps/robot_io/test_log_source.py"),
     "deepgps study change": "tests/deepgps/studies/reports/test_change.py",
-    "deepgps study seeds --engine ray": "tests/deepgps/studies/engine/test_ray_cluster.py",
+    "deepgps study carpet --engine ray": "tests/deepgps/studies/engine/test_ray_cluster.py",
     "deepgps view runs/first --screenshot first.png": "tests/deepgps/viewer/test_show.py",
 }
 MADE_EARLIER: dict[str, tuple[str, ...]] = {

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import yaml
 
-from deepgps.studies.engine.engine import RunAll, carry_out, claim_study
+from deepgps.studies.engine.engine import RunAll, carry_out, claim_study, find_missing
 from deepgps.studies.engine.pool import Failures
 from deepgps.studies.engine.runs import do_run
 from deepgps.studies.plan import Plan, plan_runs
@@ -36,8 +36,8 @@ STUDY = {
     "scenario": "mini.yaml",
     "methods": ["deepgps"],
     "cases": [{"learn.start": "auto", "learn.seed": 0}, {"learn.start": "random", "learn.seed": 1}],
-    "report": "seeds",
-    "target": {"unfolded": 1.0},
+    "report": "rooms",
+    "target": {"deepgps_max_m": 9.0},
 }
 
 
@@ -75,6 +75,6 @@ def do_here(path: Path, out: Path, run_all: RunAll = run_all_here) -> Failures:
     study = load_study(str(path), tiny=False)
     plans = plan_runs(study)
     with claim_study(study, out, fresh=False) as place:
-        failures = carry_out(study, plans, place, run_all, ignore)
+        failures = carry_out(plans, find_missing(plans, place, ignore), place, run_all, ignore)
         report_study(study, plans, failures, place)
     return failures

@@ -14,15 +14,14 @@ from typing import Literal
 from deepgps.config.methods import find_method
 from deepgps.config.plain_yaml import read_yaml
 from deepgps.config.scenario import Scenario
-from deepgps.diagnosis.store import read_diagnosis
 from deepgps.evaluation.measure_run import read_measured
 from deepgps.runs.owned_folder import Kind, choose_place, discard, hold, replace
 from deepgps.runs.run_folder import FEATURE_FILES, RUN, TRAINED_FILES
-from deepgps.studies.catalog import PICTURES, REPORTS
+from deepgps.studies.catalog import PICTURES
 from deepgps.studies.engine import ray_cluster
 from deepgps.studies.engine.pool import Failures
-from deepgps.studies.engine.recordings import find_undriven, record_all
-from deepgps.studies.engine.runs import diagnose_all, run_all
+from deepgps.studies.engine.recordings import record_all
+from deepgps.studies.engine.runs import run_all
 from deepgps.studies.plan import Plan
 from deepgps.studies.study import Study, write_out
 from deepgps.terminal.progress import Report
@@ -54,9 +53,9 @@ EngineName = Literal["local", "ray"]
 RunAll = Callable[[Sequence[Plan], Path, Report], Failures]
 
 
-def default_folder(study: Study) -> Path:
-    """The folder of a study when the user names none: runs/studies/<name>."""
-    return Path("runs") / "studies" / study.name
+def find_place(folder: Path, fresh: bool) -> Path:
+    """The folder that a study works in: its own or, with ``fresh`` and a study already there, a subfolder."""
+    return choose_place(folder, STUDY, fresh)
 
 
 @contextmanager
@@ -114,34 +113,33 @@ def _refuse_another(study: Study, folder: Path) -> None:
         )
 
 
-def carry_out(study: Study, plans: Sequence[Plan], place: Path, run_all: RunAll, progress: Report) -> Failures:
-    """Do all of a study's runs that are missing in the folder that this process holds.
+def carry_out(
+    plans: Sequence[Plan], missing: Sequence[Plan], place: Path, run_all: RunAll, progress: Report
+) -> Failures:
+    """Do those of a study's runs that are missing in the folder that this process holds.
 
     Returns the reasons why runs failed, by the hash of the run; all other runs are done.
     """
-    missing = find_missing(study, plans, place)
     unrecorded = record_all(plans, missing, place, progress)
     ready = [plan for plan in missing if plan.recording not in unrecorded]
     failed = {plan.run: unrecorded[plan.recording] for plan in missing if plan.recording in unrecorded}
-    return {**failed, **(diagnose_all if REPORTS[study.report].gather else run_all)(ready, place, progress)}
+    return {**failed, **run_all(ready, place, progress)}
 
 
-def find_missing(study: Study, plans: Sequence[Plan], place: Path) -> list[Plan]:
-    """Runs whose results are missing or damaged."""
+def find_missing(plans: Sequence[Plan], place: Path, progress: Report) -> list[Plan]:
+    """Runs whose results are missing or damaged in the folder that a study works in."""
     missing = []
-    for plan in plans:
-        run = place / "runs" / plan.run
-        if (read_diagnosis(run) if REPORTS[study.report].gather else read_measured(run)) is None:
+    for done, plan in enumerate(plans, start=1):
+        if read_measured(place / "runs" / plan.run) is None:
             missing.append(plan)
+        progress("look for runs", done, len(plans))
     return missing
 
 
-def foresee(study: Study, plans: Sequence[Plan], undriven: Sequence[Scenario], folder: Path) -> str:
+def foresee(missing: Sequence[Plan], undriven: Sequence[Scenario]) -> str:
     """What a study lacks, and how long that takes from a fast machine to a slow one; nothing if it lacks nothing."""
-    missing, cores = find_missing(study, plans, folder), usable_cores()
-    images = sum(map(_count_images, undriven))
-    diagnosed = REPORTS[study.report].gather is not None
-    learning = sum(RUN_S if diagnosed else _foresee_learning(plan.scenario) for plan in missing)
+    cores, images = usable_cores(), sum(map(_count_images, undriven))
+    learning = sum(_foresee_learning(plan.scenario) for plan in missing)
     minutes = (IMAGE_S * images + learning) / min(cores, max(len(missing), 1)) / 60
     made = f"drives: {len(undriven)} (about {images:,} images with tests); runs: {len(missing)}"
     return f"{made}; {minutes / FASTEST:.0f} to {minutes + 1:.0f} min on {cores} idle cores" if missing else ""
@@ -155,9 +153,3 @@ def _count_images(scenario: Scenario) -> int:
 def _foresee_learning(scenario: Scenario) -> float:
     trained = [find_method(name).in_steps for name in scenario.methods]
     return RUN_S + sum(trained) * STEP_S * scenario.learn.train.steps + len(trained) * LEARN_S * scenario.drive.samples
-
-
-def list_undriven(study: Study, plans: Sequence[Plan], folder: Path, fresh: bool) -> list[Scenario]:
-    """Scenarios of the drives that ``carry_out`` would have to collect."""
-    place = choose_place(folder, STUDY, fresh)
-    return list(find_undriven(plans, find_missing(study, plans, place), place).values())

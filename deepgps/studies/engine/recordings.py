@@ -89,10 +89,10 @@ def record_all(plans: Sequence[Plan], missing: Sequence[Plan], folder: Path, pro
     return failed
 
 
-def find_undriven(plans: Sequence[Plan], missing: Sequence[Plan], folder: Path) -> dict[str, Scenario]:
-    """Scenarios of drives still to collect for the missing runs, by hash; takes the arguments of ``record_all``."""
+def list_undriven(plans: Sequence[Plan], missing: Sequence[Plan], folder: Path) -> list[Scenario]:
+    """Scenarios of drives still to collect for the missing runs; takes the arguments of ``record_all``."""
     home = folder / "recordings"
-    return _choose_undriven(find_drives(plans), _find_wanted(missing, home), home)
+    return list(_choose_undriven(find_drives(plans), _find_wanted(missing, home), home).values())
 
 
 def find_drives(plans: Sequence[Plan]) -> dict[str, Scenario]:

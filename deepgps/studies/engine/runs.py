@@ -1,4 +1,4 @@
-"""The runs of a study, whose recordings are finished: train and measure each, or diagnose each recording."""
+"""The runs of a study, whose recordings are finished: train and measure each."""
 
 import os
 import traceback
@@ -19,7 +19,6 @@ from sim.errors import InputError, WorkError, one_line
 from sim.files.atomic import write_text
 from sim.plugins import locate_failure
 from sim.processes import usable_cores
-from sim.recording.format import open_recording
 
 FAILURE = "failure.txt"
 GPU_BYTES = 3 * 2**30
@@ -46,24 +45,6 @@ class RunTask:
                 tell(sum(steps.values()))
 
         return do_run(self.scenario, self.folder, self.recording, report, self.plugins)
-
-
-@dataclass(frozen=True)
-class DiagnoseTask:
-    """A recording to diagnose."""
-
-    run: Path  # Folder of the run, which gets a ``diagnosis.json``
-    recording: Path  # Folder of its recording
-    size: int = 1
-
-    def __call__(self, tell: Tell) -> None:
-        """Diagnose it."""
-        from deepgps.diagnosis.diagnosis import diagnose  # needs torch
-        from deepgps.diagnosis.store import FILE, write_diagnosis
-
-        recording = open_recording(self.recording)
-        self.run.mkdir(parents=True, exist_ok=True)
-        write_diagnosis(self.run / FILE, diagnose(recording), recording)
 
 
 def run_all(plans: Sequence[Plan], folder: Path, progress: Report) -> Failures:
@@ -111,14 +92,6 @@ def do_run(
         where = f"{plugin}: " if (plugin := locate_failure(error)) else ""
         return f"{where}{type(error).__name__}: {one_line(error)} (runs/{folder.name}/{FAILURE})"
     return None
-
-
-def diagnose_all(plans: Sequence[Plan], folder: Path, progress: Report) -> Failures:
-    """Diagnose the recordings of runs and write ``runs/<run>/diagnosis.json``; takes the arguments of ``run_all``."""
-    tasks = {
-        plan.run: DiagnoseTask(folder / "runs" / plan.run, folder / "recordings" / plan.recording) for plan in plans
-    }
-    return do_all(tasks, usable_cores(), lambda done: progress("diagnose", done, len(plans)))
 
 
 def count_workers(plans: Sequence[Plan]) -> int:

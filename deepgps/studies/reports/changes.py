@@ -147,7 +147,7 @@ def list_drives(rows: Sequence[Row], varied: Sequence[str]) -> list[Row]:
             }
             drives.append({**drive, **one["figures"], "kind": "drive"})
             drives += [
-                {**drive, "kind": "cause", "cause": title, "images": seen.get(name, 0.0), "right": name == expected}
+                {**drive, "kind": "cause", "cause": title, "images": seen.get(name, 0.0)}
                 for name, title in CAUSES.items()
             ]
     return drives
@@ -235,8 +235,6 @@ REPORTS = {
         KNOWING_NOTE,
         list_drives,
         targets=_list_targets_of_knowing(),
-        pictures={"knowing": "knowing:draw"},
         columns="knowing:add_drives",
-        sets=("deployment.drive_samples",),
     ),
 }

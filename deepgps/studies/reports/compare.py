@@ -1,4 +1,4 @@
-"""The reports "plain", "compare", "networks", "strategies", "curves": runs side by side, or means over their seeds."""
+"""The reports "plain", "compare", "curves": runs side by side, or means over their seeds."""
 
 from collections.abc import Sequence
 
@@ -31,25 +31,19 @@ CASES_NOTE = (
 COMPARE = Table(
     f"{CHOICES} method",
     f"runs samples distance_m {ERRORS} rms_m:max paper_rms_m paper_bound_m relative_rms {ACCEPTED_ERRORS} "
-    "heading_spread_m turn_spread_m folded fold_found train_s",
+    "heading_spread_m folded fold_found train_s",
 )
 NOTE = (
     f"Means over runs that differ only in their seeds. {GRID}Headings: RMS distance of the predictions at one position "
     "from their mean. Folded: maps that flip more than a tenth of the neighbourhoods; said: maps that the detector, "
     "which does not use the truth, reports as folded."
 )
-TURNED_NOTE = (
-    "Turned: RMS distance from their mean of the predictions for one test image turned by every whole number of "
-    "sectors; unlike the spread over headings, it excludes the effects of rendering."
-)
 WORDS = "filled: RMS of accepted, open: median of all"
 OF_CASES = {
     "errors": Dots(CASE, marks=(("", "error_m", "median_m"),), words=WORDS),
     "error_fields": Fields(f"{CASE} method"),
 }
-PICTURES = {"errors": Dots(f"{CHOICES} method"), "error_fields": Fields(f"{CHOICES} method")}
-NETWORK, SHIFT = "learn.network.architecture", "learn.train.shift"
-STRATEGY, SAMPLES = "drive.strategy", "drive.samples"
+SAMPLES = "drive.samples"
 AXES = {"encoder.step_noise": "noise w per gap between readings", SAMPLES: "training images"}
 # The paper on DeepGPS: its RMS is below this share of the room's side (Sec. V-A); its RMS at a value [m] (V-B).
 PAPER_SHARE = {"encoder.step_noise": 0.02}
@@ -115,12 +109,6 @@ def rank_cases(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
     ]
 
 
-def find_images(rows: Sequence[Row], varied: Sequence[str]) -> list[Row]:
-    """Rows with a column for whether they have as many images as those of the dense strategy."""
-    counts = {row[SAMPLES] for row in rows if row[STRATEGY] == "dense"}
-    return [{**row, "as_many": row[SAMPLES] in counts} for row in rows]
-
-
 def find_curves(rows: Sequence[Row], varied: Sequence[str]) -> list[Row]:
     """Rows with their curve's panel and place along the axis, the last setting that varies, and the paper's RMS."""
     *others, axis = varied_in(rows[0])
@@ -164,30 +152,6 @@ def tell_knees(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
     ]
 
 
-def _list_targets_of_networks() -> list[Target]:
-    shifted = {SHIFT: (None, True)}
-    plain, paper = {NETWORK: "resnet_plain", **shifted}, {NETWORK: "resnet_paper", **shifted}
-    shown = ("spectral", "invariant", "resnet", "resnet_paper", "resnet_plain")
-    turned = ("spectral", "invariant")
-    words = "resnet_plain / resnet_paper"
-    return [
-        *(Target(name, f"RMS, {name}", "rms_m", {NETWORK: name, **shifted}) for name in shown),
-        *(Target(f"{name}_turned", f"turned, {name}", "turn_spread_m", {NETWORK: name}, unit="mm") for name in turned),
-        Target("plain_ratio", f"RMS, {words}", "rms_m", plain, paper, at_least=True),
-        Target("plain_turned", f"turned, {words}", "turn_spread_m", plain, paper, at_least=True),
-    ]
-
-
-def _list_targets_of_strategies() -> list[Target]:
-    ends, dense = {"method": "deepgps", STRATEGY: "endpoint"}, {"method": "deepgps", STRATEGY: "dense"}
-    few, many = ({**ends, "as_many": as_many} for as_many in (False, True))
-    return [
-        Target("travel_ratio", "RMS, end-point / dense, equal travel", "rms_m", few, dense, at_least=True),
-        Target("samples_ratio", "RMS, end-point / dense, equal images", "rms_m", many, dense, at_least=True),
-        Target("way_ratio", "travel, end-point / dense, equal images", "distance_m", many, dense, at_least=True),
-    ]
-
-
 def _list_targets_of_curves() -> list[Target]:
     words = {"rms_m": "RMS", "relative_rms": "RMS / side", "relative_median": "median / side"}
     end, per = {"at_end": True}, "method"
@@ -210,16 +174,5 @@ _CURVES = Curves(
 REPORTS = {
     "plain": StudyReport((Table(f"{VARIED_SETTINGS} method", f"{ERRORS} {ACCEPTED_ERRORS}"),)),
     "compare": StudyReport((CASES,), f"{GRID}{CASES_NOTE}", find_cases, rank_cases, pictures=OF_CASES),
-    "networks": StudyReport(
-        (COMPARE,),
-        f"{NOTE} {TURNED_NOTE}",
-        targets=_list_targets_of_networks(),
-        pictures=PICTURES,
-        columns="from_runs:add_turn_spread",
-        varies=(NETWORK,),
-    ),
-    "strategies": StudyReport(
-        (COMPARE,), NOTE, find_images, None, _list_targets_of_strategies(), PICTURES, varies=(STRATEGY, SAMPLES)
-    ),
     "curves": StudyReport((COMPARE,), NOTE, find_curves, tell_knees, _list_targets_of_curves(), {"curves": _CURVES}),
 }

@@ -1,15 +1,14 @@
 """The report "diagnose": recordings with faults that are drawn, and which were named, how well, and how exactly."""
 
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from deepgps.config.scenario import Scenario
 from deepgps.studies.reports.record import Scatter, StudyReport, Table, Target
-from deepgps.studies.table import Plan, Point, Row, read_setting
-from sim.files.checksums import read_json
+from deepgps.studies.table import Point, Row
+from sim.errors import InputError, quote
 from sim.rng import stream
 
 LIMITS: dict[str, tuple[float, float]] = {
@@ -58,11 +57,11 @@ def draw_runs(common: Mapping[str, Any], drives: Sequence[tuple[int, Point]]) ->
     A drive with equal wheels gives five recordings without faults, five with radii that are wrong alike, eleven with
     one fault and two with two; one with unequal wheels a recording with this fault alone, and one with a second fault.
     """
-    runs: list[tuple[int, Point]] = []
-    single = 0
+    samples, runs, single = common.get("drive.samples"), list[tuple[int, Point]](), 0
+    if type(samples) is not int or any("drive.samples" in drive for _, drive in drives):
+        raise InputError(f"report diagnose needs drive.samples to be a whole number in set alone, not {quote(samples)}")
     for number, (seed, drive) in enumerate(drives):
         rng = stream(seed, "diagnose", number)
-        samples: int = common["drive.samples"]
 
         def add(faults: Point, seed: int = seed, drive: Point = drive, add: Callable = runs.append) -> None:
             add((seed, {**drive, **faults}))
@@ -98,28 +97,18 @@ def _draw(rng: np.random.Generator, names: Sequence[str]) -> Point:
     return drawn
 
 
-def gather_diagnoses(plans: Sequence[Plan], failures: Mapping[str, str], folder: Path) -> list[Row]:
-    """A row for each recording: its settings, each quantity as it is and as it was found, and the faults."""
-    from deepgps.diagnosis.store import FILE
-
-    names = list(dict.fromkeys(name for plan in plans for name in plan.varied))
-    rows = []
-    for plan in plans:
-        failure = failures.get(plan.run)
-        found = {} if failure else read_json(folder / "runs" / plan.run / FILE)
-        row: Row = {"run": plan.run, "recording": plan.recording, "seed": plan.scenario.seed}
-        row |= {name: read_setting(plan.scenario, name) for name in names}
-        row |= {"set": " ".join(list_set(plan.scenario)), "found": None, "must": None, "failure": failure}
-        row |= {f"{name}{part}": None for name in QUANTITIES for part in ("", "_low", "_high", "_true")}
-        if not failure:
-            row["found"] = " ".join(fault["fault"] for fault in found["faults"])
-            row["must"] = " ".join(list_must(plan.scenario, found))
-            for name, true in tell_truth(plan.scenario, found["odometry"]).items():
-                estimate = found["quantities"][name]
-                row |= {name: estimate["value"], f"{name}_true": true}
-                row |= {f"{name}_{part}": estimate[part] for part in ("low", "high")}
-        rows.append(row)
-    return rows
+def describe(scenario: Scenario, found: Mapping[str, Any]) -> Row:
+    """Columns of a recording: the faults set and found, and each quantity as it is and as ``diagnosis.json`` has it."""
+    row: Row = {
+        "set": " ".join(list_set(scenario)),
+        "found": " ".join(fault["fault"] for fault in found["faults"]),
+        "must": " ".join(list_must(scenario, found)),
+    }
+    for name, true in tell_truth(scenario, found["odometry"]).items():
+        estimate = found["quantities"][name]
+        row |= {name: estimate["value"], f"{name}_true": true}
+        row |= {f"{name}_{end}": estimate[end] for end in ("low", "high")}
+    return row
 
 
 def tell_truth(scenario: Scenario, odometry: Mapping[str, float]) -> dict[str, float]:
@@ -239,12 +228,12 @@ _INTERVALS = Table(
     title="Intervals and errors",
 )
 _FINDINGS = Scatter(
-    (("true", "value", ""),),
+    "true",
+    "value",
     "held",
     ("set", "found"),
-    "quantity",
     ("low", "high"),
-    equal=True,
+    "quantity",
     factor=1.0,
     where={"kind": "quantity"},
 )
@@ -256,7 +245,6 @@ REPORTS = {
         targets=_list_targets(),
         pictures={"diagnose": _FINDINGS},
         draw_runs=draw_runs,
-        gather=gather_diagnoses,
-        fixes=("drive.samples",),
+        columns="from_runs:add_diagnosis",
     )
 }

@@ -5,16 +5,13 @@ part of the map.
 """
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
 
 from deepgps.config.methods import METHODS, folder_of, title_of
 from deepgps.data.segments import find_runs
@@ -25,8 +22,8 @@ from deepgps.positioner.stored_positioner import load_positioner
 from deepgps.reports.run_report import read_metrics
 from deepgps.runs.run_folder import open_run
 from deepgps.studies.reports.changes import DRIVES
-from deepgps.studies.reports.render import pick
-from deepgps.studies.table import LEVELS, Row, split_by
+from deepgps.studies.table import LEVELS, Row
+from deepgps.terminal.progress import Report, ignore
 from deepgps.tracking.causes import TITLES, Causes, make_monitor
 from sim.errors import InputError
 from sim.files.checksums import read_arrays
@@ -61,7 +58,7 @@ SPOILS: Mapping[str, Spoil] = {
 """What happens to images (N, rings, sectors, 3), by the cause that should be named."""
 
 
-def add_drives(run: Path, row: Row) -> Row:
+def add_drives(run: Path, row: Row, progress: Report = ignore) -> Row:
     """Deployment drives of a run as JSON in one column: its own, and those derived from it if nothing has changed."""
     use = read_metrics(run)["methods"][row["method"]].get("in_use", {})
     if "causes" not in use:
@@ -77,7 +74,7 @@ def add_drives(run: Path, row: Row) -> Row:
         "causes": use["causes"],  # As ``Causes.summarise`` returns them
         "figures": measure_use(run, row),  # Coverage of the radii and refusal of large errors; empty: not measured
     }
-    derived = derive_drives(run, row["method"]) if not expected else ()
+    derived = derive_drives(run, row["method"], progress) if not expected else ()
     return {DRIVES: json.dumps([own, *derived])}
 
 
@@ -106,7 +103,7 @@ def measure_use(run: Path, row: Row) -> dict[str, float | None]:
     }
 
 
-def derive_drives(run: Path, method: str) -> Iterator[dict[str, Any]]:
+def derive_drives(run: Path, method: str, progress: Report) -> Iterator[dict[str, Any]]:
     """Drives that are made from a run's own, or from those of other rooms, and what is said of them."""
     recording = open_recording(run / "recording")
     drive, monitor = open_deployment(recording), make_monitor(load_positioner(folder_of(run, method)), recording)
@@ -122,7 +119,7 @@ def derive_drives(run: Path, method: str) -> Iterator[dict[str, Any]]:
     if METHODS[method].map != "labels" and len(np.unique(part.reading[:, 0])) >= MIN_SEGMENTS:
         scenario = open_run(run)
         with TemporaryDirectory() as folder:
-            taught = fit_method(method, part, scenario.learn, training_seed(scenario), Path(folder) / method)
+            taught = fit_method(method, part, scenario.learn, training_seed(scenario), Path(folder) / method, progress)
             beyond = make_monitor(taught, part)
             assert beyond is not None
             yield describe("a part not driven", "new_place", beyond.name(drive))
@@ -184,32 +181,3 @@ def _keep_turns(turns: Turns, rows: np.ndarray, reading: np.ndarray, observed: n
         row = int(np.searchsorted(rows, after))
         jump[row] = (int(np.searchsorted(observed, before)), image, row, kind)
     return from_array(np.array(list(jump.values()), np.int64).reshape(-1, 4))
-
-
-def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Figure:
-    """Draw the share of the images of each fault with each cause, as a matrix for each training with all faults."""
-    every = split_by(pick(rows, {"kind": "cause"}), "training")
-    most = max(map(len, every.values()))
-    shown = {title: causes for title, causes in every.items() if len(causes) == most}
-    figure = Figure(figsize=(1.8 + 3.7 * len(shown), 2.2 + 0.27 * most / len(TITLES)), layout="constrained")
-    panels = figure.subplots(1, len(shown), sharey=True, squeeze=False)[0]
-    for axes, (title, causes) in zip(panels, shown.items(), strict=True):
-        _draw_matrix(axes, causes)
-        axes.set_title(title, fontsize=9)
-    figure.supxlabel("images with each cause [%]; framed: the cause that should be named", fontsize=8)
-    return figure
-
-
-def _draw_matrix(axes: Axes, causes: Sequence[Row]) -> None:
-    size = (-1, len(TITLES))
-    share = np.reshape([row["images"] for row in causes], size)
-    axes.imshow(share, cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
-    for row, column in np.argwhere(share >= 0.005).tolist():
-        colour = "white" if share[row, column] > 0.5 else "black"
-        axes.text(column, row, f"{100 * share[row, column]:.0f}", ha="center", va="center", size=7, color=colour)
-    for row, column in np.argwhere(np.reshape([row["right"] for row in causes], size)).tolist():
-        corner = (column - 0.5, row - 0.5)
-        axes.add_patch(Rectangle(corner, 1.0, 1.0, fill=False, edgecolor="#d9822b", lw=1.4))
-    axes.set_xticks(range(len(TITLES)), list(TITLES.values()), rotation=40, ha="right", fontsize=8)
-    axes.set_yticks(range(len(share)), [row["fault"] for row in causes[:: len(TITLES)]], fontsize=8)
-    axes.tick_params(length=0)

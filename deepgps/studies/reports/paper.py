@@ -224,6 +224,5 @@ REPORTS = {
             "lab_places": Fields("method"),
         },
         columns="from_runs:add_labels",
-        labels=True,
     ),
 }

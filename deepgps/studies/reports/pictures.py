@@ -116,31 +116,18 @@ def draw_curves(picture: Curves, rows: Sequence[Row]) -> Figure:
 
 def draw_scatter(picture: Scatter, rows: Sequence[Row]) -> Figure:
     """Draw points; see ``Scatter``."""
-    panels = [
-        (x, y, title or value, some)
-        for value, some in (split_by(rows, picture.panel) if picture.panel else {"": rows}).items()
-        for x, y, title in picture.points
-    ]
+    panels = split_by(rows, picture.panel) if picture.panel else {"": rows}
     figure, axes_of = _make_panels(len(panels), (4.2, 3.8))
     kinds = dict(zip(split_by(rows, picture.by), POINT_COLOURS * len(rows), strict=False))
-    for axes, (x, y, title, some) in zip(axes_of, panels, strict=False):
+    names = (picture.x, picture.y, *picture.bars)
+    for axes, (title, some) in zip(axes_of, panels.items(), strict=False):
         for kind, group in split_by(some, picture.by).items():
-            known = [row for row in group if row.get(x) is not None and row.get(y) is not None]
-            across, up = (picture.factor * np.array([row[name] for row in known], float) for name in (x, y))
-            ends = None
-            if picture.bars:
-                low, high = (picture.factor * np.array([row[name] for row in known], float) for name in picture.bars)
-                ends = [up - low, high - up]
-            axes.errorbar(across, up, ends, fmt="o", color=kinds[kind], ms=3.5, lw=0.8, alpha=0.7, label=kind)
-        if picture.log:
-            axes.set(xscale="log", yscale="log")
-            _count(axes.xaxis)
-            _count(axes.yaxis)
-        if picture.equal:
-            low, high = max(axes.get_xlim()[0], axes.get_ylim()[0]), min(axes.get_xlim()[1], axes.get_ylim()[1])
-            axes.plot([low, high], [low, high], color="0.6", lw=1, zorder=0)
-        if picture.limit is not None:
-            axes.axvline(picture.factor * picture.limit, color="#999999", linestyle=":")
+            known = [[row[name] for name in names] for row in group if None not in (row[picture.x], row[picture.y])]
+            x, y, low, high = picture.factor * np.array(known, float).reshape(-1, 4).T
+            ends = [y - low, high - y]
+            axes.errorbar(x, y, ends, fmt="o", color=kinds[kind], ms=3.5, lw=0.8, alpha=0.7, label=kind)
+        low, high = max(axes.get_xlim()[0], axes.get_ylim()[0]), min(axes.get_xlim()[1], axes.get_ylim()[1])
+        axes.plot([low, high], [low, high], color="0.6", lw=1, zorder=0)
         axes.set(xlabel=picture.labels[0], ylabel=picture.labels[1])
         axes.set_title(title, fontsize=9)
         axes.grid(alpha=0.25)

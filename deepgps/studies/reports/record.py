@@ -82,16 +82,14 @@ class Curves(NamedTuple):
 
 
 class Scatter(NamedTuple):
-    """A point for each row."""
+    """A point for each row, with the interval of the second value, and a line where both values are equal."""
 
-    points: tuple[tuple[str, str, str], ...]  # Columns along the two axes, and the title of each panel
+    x: str  # Columns along the two axes
+    y: str
     by: str  # The column that gives the colour
     labels: tuple[str, str]
-    panel: str | None = None  # A column of which each value has a panel, in place of the titles
-    bars: tuple[str, str] | None = None  # Columns of the lower and upper ends of intervals of the second
-    equal: bool = False  # Whether a line is drawn where both are equal
-    log: bool = False  # Whether both axes are logarithmic
-    limit: float | None = None  # Where a vertical line is drawn
+    bars: tuple[str, str]  # Columns of the lower and upper ends of intervals of the second
+    panel: str | None = None  # A column of which each value has a panel
     factor: float = 100.0  # By which values are multiplied
     where: Where = EVERY_ROW  # The rows that are drawn
 
@@ -103,13 +101,12 @@ class Fields(NamedTuple):
     scale_m: tuple[float, float] = (0.01, 1.0)
 
 
-Picture = Dots | Curves | Scatter | Fields | str
-"""A string names a function "module:function" (rows, the study's folder) -> a figure."""
+Picture = Dots | Curves | Scatter | Fields
 
 
 @dataclass(frozen=True)
 class StudyReport:
-    """One report. Functions that need torch or matplotlib are named "module:function", modules from this package."""
+    """One report."""
 
     tables: tuple[Table, ...]  # Its tables, in order
     note: str = ""  # How to read them
@@ -119,16 +116,11 @@ class StudyReport:
     more: Callable[[Sequence[Row], Sequence[str]], list[str]] | None = None
     targets: Sequence[Target] = ()  # Figures with targets
     pictures: Mapping[str, Picture] = field(default_factory=dict)  # By file name
-    columns: str | None = None  # (run folder, row) -> the report's own columns in the study's table
+    # "module:function", modules from this package, which may need torch; see ``report.AddColumns``
+    columns: str | None = None
     # (the study's ``set``, its drives as seed and settings) -> seeds and settings of the runs
     draw_runs: Callable | None = None
-    # (plans, failures, the study's folder) -> rows, of a study whose runs are diagnosed and not trained
-    gather: Callable | None = None
     varies: tuple[str, ...] = ()  # Settings that must vary in the study's cases or axes, by dotted name
-    sets: tuple[str, ...] = ()  # Settings that the study must set, or vary
-    fixes: tuple[str, ...] = ()  # Settings that must be a number in the study's ``set``, and cannot vary
-    networks: bool = False  # Whether it needs methods that train a network
-    labels: bool = False  # Whether it needs recordings with labels from tags
 
 
 GRID = "Errors on the test grid, for the worst heading of each position; aligned on training samples, never scaled. "

@@ -29,7 +29,7 @@ TAKES = {
 RISING_FIGURES = {"seen", "accepted"}
 HEADINGS = {
     **{"rms_m": "RMS", "p95_m": "p95", "samples": "images", "distance_m": "travel", "fold_found": "said"},
-    **{"heading_spread_m": "headings", "turn_spread_m": "turned", "relative_rms": "RMS / side", "misplaced": "off"},
+    **{"heading_spread_m": "headings", "relative_rms": "RMS / side", "misplaced": "off"},
     **{
         "rms_accepted_m": "RMS of accepted",
         "max_accepted_m": "max of accepted",

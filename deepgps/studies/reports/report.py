@@ -1,8 +1,6 @@
 """The results of a study: its table as Parquet, and its report as Markdown and figures."""
 
-import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import partial
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any
@@ -20,27 +18,24 @@ from deepgps.studies.reports.pictures import draw
 from deepgps.studies.reports.render import measure, prepare, write_blocks
 from deepgps.studies.study import Study
 from deepgps.studies.table import CASE, Row, gather, write_table
-from sim.errors import InputError
+from deepgps.terminal.progress import Report, ignore
 from sim.files.atomic import write_bytes, write_text
-from sim.files.checksums import sha256
 
 MAX_DOUBTS = 20  # Runs whose doubts a report lists
-SUMS_FILE = "SHA256SUMS"  # List of published files, in the format of sha256sum
+AddColumns = Callable[[Path, Row, Report], Row]
+"""Returns a report's own columns of a row from its run's folder; what takes long reports its progress."""
 
 
-def load(name: str) -> Callable[..., Any]:
-    """Import the function "module:function" from a module of this package."""
-    return resolve_name(f"deepgps.studies.reports.{name}")
-
-
-def report_study(study: Study, plans: Sequence[Plan], failures: Mapping[str, str], folder: Path) -> str:
+def report_study(
+    study: Study, plans: Sequence[Plan], failures: Mapping[str, str], folder: Path, progress: Report = ignore
+) -> str:
     """Write ``table.parquet``, ``table.md`` and ``figures`` of a study; return the report in Markdown."""
     report = REPORTS[study.report]
-    rows = (report.gather or gather)(plans, failures, folder)
+    rows = gather(plans, failures, folder)
     write_table(folder / "table.parquet", rows)
     if report.columns:
         with use_threads(1):
-            rows = add_columns(rows, load(report.columns), folder)
+            rows = add_columns(rows, resolve_name(f"deepgps.studies.reports.{report.columns}"), folder, progress)
         write_table(folder / "table.parquet", rows)
     runs = [folder / "runs" / plan.run for plan in plans]
     metrics = {run.name: read_metrics(run) for run in runs if (run / METRICS).is_file()}
@@ -51,60 +46,29 @@ def report_study(study: Study, plans: Sequence[Plan], failures: Mapping[str, str
     if measured := [row for row in rows if row["failure"] is None]:
         varied = varied_names(study)
         prepared = prepare(report, measured, varied)
-        for name, picture in report.pictures.items():
-            draw_one = load(picture) if isinstance(picture, str) else partial(draw, picture)
-            write_bytes(folder / "figures" / f"{name}.png", to_png(draw_one(prepared, varied, folder)))
+        for done, (name, picture) in enumerate(report.pictures.items()):
+            progress("figures", done, len(report.pictures))
+            write_bytes(folder / "figures" / f"{name}.png", to_png(draw(picture, prepared, varied, folder)))
     return text
 
 
-def add_columns(rows: Sequence[Row], add: Callable[[Path, Row], Row], folder: Path) -> list[Row]:
+def add_columns(rows: Sequence[Row], add: AddColumns, folder: Path, progress: Report) -> list[Row]:
     """Add a report's own columns to the rows; they are empty for failed runs."""
-    added = [add(folder / "runs" / row["run"], row) if row["failure"] is None else {} for row in rows]
+    added = []
+    for done, row in enumerate(rows):
+        progress("columns of the report", done, len(rows))
+        added.append({} if row["failure"] else add(folder / "runs" / row["run"], row, progress))
     names = dict.fromkeys(name for columns in added for name in columns)
     return [{**row, **dict.fromkeys(names), **columns} for row, columns in zip(rows, added, strict=True)]
 
 
 def publish(study: Study, folder: Path, target: Path) -> None:
-    """Copy a study's results, without its runs, and their checksums to a folder that can be committed.
-
-    A picture that the report no longer draws is removed there. If it is interrupted, it can be repeated. Raises
-    InputError if a file there is not as deepgps published it.
-    """
-    check_publish(target)
-    pictures = (f"figures/{name}.png" for name in REPORTS[study.report].pictures)
-    names = [name for name in ("table.parquet", "table.md", *pictures) if (folder / name).is_file()]
-    before, sums = _read_sums(target), [(sha256(folder / name), name) for name in names]
-    _write_sums(target, {*before, *sums})  # until all are copied, a file may be the old or the new one
-    for name in names:
-        write_bytes(target / name, (folder / name).read_bytes())
-    for name in {name for _, name in before}.difference(names):
-        (target / name).unlink(missing_ok=True)
-    _write_sums(target, sums)
-
-
-def check_publish(target: Path) -> None:
-    """Raise InputError if publishing would replace a file that deepgps did not publish or that was changed since."""
-    if target.exists() and not target.is_dir():
-        raise InputError(f"--publish: {target} is not a folder")
-    published = _read_sums(target)
-    names = ["table.parquet", "table.md", *(f"figures/{name}.png" for name in PICTURES)]
-    if foreign := {name for _, name in published}.difference(names):
-        raise InputError(
-            f"--publish: {target / SUMS_FILE} lists {min(foreign)}, which is not a file that deepgps publishes"
-        )
-    for name in names:
-        path = target / name
-        if os.path.lexists(path) and (path.is_symlink() or (sha256(path), name) not in published):
-            raise InputError(f"--publish: {path} was not published by deepgps or has changed since; move it away")
-
-
-def _read_sums(target: Path) -> set[tuple[str, str]]:
-    lines = (target / SUMS_FILE).read_text(errors="replace").splitlines() if (target / SUMS_FILE).is_file() else []
-    return {(digest, name) for digest, _, name in (line.partition("  ") for line in lines)}
-
-
-def _write_sums(target: Path, sums: Iterable[tuple[str, str]]) -> None:
-    write_text(target / SUMS_FILE, "".join(f"{digest}  {name}\n" for digest, name in sums))
+    """Copy a study's results, without its runs, to a folder that can be committed, in place of those before."""
+    for name in PICTURES:
+        (target / "figures" / f"{name}.png").unlink(missing_ok=True)
+    for name in ("table.parquet", "table.md", *(f"figures/{name}.png" for name in REPORTS[study.report].pictures)):
+        if (folder / name).is_file():
+            write_bytes(target / name, (folder / name).read_bytes())
 
 
 def write_report(study: Study, plans: Sequence[Plan], failures: Mapping[str, str], rows: Sequence[Row]) -> str:

@@ -27,7 +27,7 @@ ONE_LINE_ERRORS = [
     (["rooms", "--kinds", "attic"], "--kinds 'attic' does not exist; there are all, living_room"),
     (["rooms", "--seeds", "3-x"], "--seeds '3-x': one to a hundred whole numbers"),
     (["rooms", "--seeds", f"0-{10**30}"], f"--seeds '0-{10**30}': one to a hundred whole numbers"),
-    (["study", "seeds", "--engine", "x"], "invalid choice 'x'"),
+    (["study", "samples", "--engine", "x"], "invalid choice 'x'"),
     (["view", "a", "--port", "x"], "error: deepgps view: --port x: must be INT"),
 ]
 

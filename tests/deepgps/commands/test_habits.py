@@ -20,8 +20,8 @@ HINTS = [
     ("tiny", "command 'tiny' does not exist, did you mean deepgps run tiny?"),
     ("--list", "deepgps has no option --list; deepgps --help lists the commands"),
     ("run tinny", "scenario 'tinny' does not exist, did you mean tiny?"),
-    ("study seed", "study 'seed' does not exist, did you mean seeds?"),
-    ("study seeds --tinny", "deepgps study: there is no option --tinny, did you mean --tiny?"),
+    ("study sample", "study 'sample' does not exist, did you mean samples?"),
+    ("study samples --tinny", "deepgps study: there is no option --tinny, did you mean --tiny?"),
     ("doctor --fresh", "deepgps doctor: there is no option --fresh; there are none"),
     ("run tiny --frech", "--frech: there is no such setting, did you mean --fresh?"),
     (
@@ -42,7 +42,7 @@ HINTS = [
     ("run tiny --out=", "--out is empty"),
     ("run tiny --out ", "--out is empty"),
     ("view ", "deepgps view: an argument is empty"),
-    ("study mds --out=", "deepgps study: --out is empty"),
+    ("study samples --out=", "deepgps study: --out is empty"),
 ]
 
 

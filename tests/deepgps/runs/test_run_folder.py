@@ -30,7 +30,7 @@ NAMES = (
 )
 """What a user may call files and folders."""
 WORDS = (
-    *("run landmarks", "collect tiny", "train landmarks", "evaluate lidar", "study noise_w", "study mds --tiny"),
+    *("run landmarks", "collect tiny", "train landmarks", "evaluate lidar", "study noise_w", "study samples --tiny"),
     *("rooms --kinds lab --seeds 0", "view", "run scenario.yaml", "study study.yaml", "run nothing"),
 )
 ARGS = ("--fresh", "--room.mjcf typo.xml", "--room.seed -1", "--nonsense 1", "--methods", "--seeds x", "--port 9")

@@ -14,13 +14,13 @@ import yaml
 from deepgps.config.scenario import Scenario, load_scenario
 from deepgps.runs.collect import make_recording
 from deepgps.runs.inputs import digest, digest_recording
-from deepgps.studies.engine.engine import claim_study, list_undriven
+from deepgps.studies.engine.engine import claim_study, find_missing, find_place
 from deepgps.studies.engine.pool import Failures
-from deepgps.studies.engine.recordings import find_drives
+from deepgps.studies.engine.recordings import find_drives, list_undriven
 from deepgps.studies.plan import Plan, plan_runs
 from deepgps.studies.study import load_study
 from deepgps.studies.table import gather, varied_in
-from deepgps.terminal.progress import Report
+from deepgps.terminal.progress import Report, ignore
 from sim.errors import InputError, WorkError
 from sim.files.checksums import read_json, write_arrays, write_json
 from sim.recording.format import check_recording
@@ -84,8 +84,8 @@ def test_a_study_killed_and_interrupted_finishes_with_one_recording_a_table_and_
         assert set(metrics["fold"]) >= {"found", "length_error_fraction", "overlap_fraction"}
     text = (out / "table.md").read_text()
     assert text in said and "deepgps view" in said
-    assert "unfolded, of 1 maps" in text and ">= 100.0 %" in text
-    assert (out / "figures" / "seeds.png").is_file() and not list(out.rglob("*.part"))
+    assert "DeepGPS, max" in text and "<= 900.0 cm" in text
+    assert (out / "figures" / "rooms.png").is_file() and not list(out.rglob("*.part"))
     assert yaml.safe_load((out / "study.yaml").read_text())["methods"] == ["deepgps"]
 
 
@@ -138,7 +138,7 @@ def test_full_replaces_only_what_it_names_and_keeps_the_target_and_a_file_names_
     full = {"set": {"learn.train.steps": 50}, "seeds": [0, 1]}
     path = write_study(tmp_path, cases=[{}], set={"grid.headings": 3}, full=full)
     study = load_study(str(path), tiny=False, full=True)
-    assert (study.name, study.target) == ("mine-full", {"unfolded": 1.0})
+    assert (study.name, study.target) == ("mine-full", {"deepgps_max_m": 9.0})
     assert {plan.scenario.learn.train.steps for plan in plan_runs(study)} == {50}
     assert [(plan.scenario.seed, plan.scenario.grid.headings) for plan in plan_runs(study)] == [(0, 3), (1, 3)]
     with pytest.raises(InputError, match="--tiny and --full exclude each other"):
@@ -217,7 +217,8 @@ def test_a_study_looks_only_where_a_run_or_its_recording_is_missing(tmp_path):
     plans = plan_runs(study)
 
     def list_seeds(fresh: bool = False) -> list[int]:
-        return [scenario.seed for scenario in list_undriven(study, plans, tmp_path, fresh)]
+        place = find_place(tmp_path, fresh)
+        return [one.seed for one in list_undriven(plans, find_missing(plans, place, ignore), place)]
 
     assert list_seeds() == [0, 5]
     drive = next(plan for plan in plans if plan.scenario.seed == 0 and plan.scenario.encoder.step_noise == 0.0)
@@ -276,7 +277,7 @@ WRONG_STUDIES: list[tuple[dict, str]] = [
     ({"seeds": [], "report": "fancy"}, "seeds []"),
     ({"seeds": ["a"], "report": "fancy"}, "report 'fancy'"),
     ({"seeds": [True, 0]}, "seeds [True, 0]"),
-    ({"target": {"unfolded": True}}, "target {'unfolded': True}"),
+    ({"target": {"train_s": True}}, "target {'train_s': True}"),
     ({"axes": {"encoder.slip_per_m": [0.1, True]}}, "encoder.slip_per_m True"),
     ({"set": {"drive.samples": 50, "drive": {"samples": 60}}}, "drive.samples: given twice, as 60 and 50"),
     ({"axes": {"learn.lift": [{"dimensions": 3}], "learn.lift.dimensions": [4]}}, "learn.lift.dimensions: given"),
@@ -284,7 +285,7 @@ WRONG_STUDIES: list[tuple[dict, str]] = [
     ({"cases": [3]}, "cases.0 3"),
     ({"cases": [{"seed": 3}]}, "seed can be no name"),
     ({"axes": {"room.seed": []}}, "axes.room.seed"),
-    ({"target": {"rms": 1}}, "rms is no figure of the report seeds, which has unfolded, found, false_alarms"),
+    ({"target": {"rms": 1}}, "rms is no figure of the report rooms, which has {method}_rms_m"),
     ({"tiny": {"casez": []}}, "tiny.casez"),
     ({"full": {"casez": []}}, "full.casez"),
     ({"scenario": "nowhere"}, "scenario 'nowhere'"),
@@ -295,14 +296,12 @@ WRONG_STUDIES: list[tuple[dict, str]] = [
     ({"cases": [{"scenario": 3}]}, "scenario 3"),
     ({"report": "curves", "target": {}, "axes": {"room.kind": ["office"]}}, "report curves needs numbers"),
     ({"report": "change", "target": {}}, "report change needs drive.mixed_light"),
-    ({"report": "lab", "target": {}}, "tag_camera.mounted False: report lab"),
-    ({"report": "mds", "target": {}, "methods": ["deepgps", "knn"]}, "methods knn: report mds"),
     *(
-        ({"report": "diagnose", "target": {}, "cases": [{}], **changes}, f"drive.samples .* {given}")
+        ({"report": "diagnose", "target": {}, "cases": [{}], **changes}, f"drive.samples .*{given}")
         for changes, given in (
-            ({}, "missing"),
+            ({}, "None"),
             ({"set": {"drive.samples": "many"}}, "'many'"),
-            ({"set": {"drive.samples": 300}, "axes": {"drive.samples": [300, 400]}}, "in cases or axes"),
+            ({"set": {"drive.samples": 300}, "axes": {"drive.samples": [300, 400]}}, "in set alone"),
         )
     ),
 ]

@@ -1,17 +1,13 @@
-"""The runs of a study: as many at once as fit; and of recordings that are diagnosed, a damaged one fails alone."""
+"""The runs of a study: as many at once as fit."""
 
-import shutil
 import subprocess
 import sys
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 
-from deepgps.diagnosis.store import read_diagnosis
-from deepgps.studies.engine.runs import count_workers, diagnose_all
+from deepgps.studies.engine.runs import count_workers
 
 
 @pytest.mark.parametrize(
@@ -33,20 +29,3 @@ def test_as_many_runs_train_on_a_gpu_at_once_as_fit(
 def test_a_process_that_does_runs_sets_its_threads_before_torch_reads_them():
     code = "import sys, deepgps.studies.engine.runs; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == 0
-
-
-@pytest.mark.slow
-def test_of_recordings_of_one_drive_or_of_several_each_fails_for_its_own_reason(small_recording: Path, tmp_path: Path):
-    for name in ("one", "other", "damaged", "late"):
-        shutil.copytree(small_recording, tmp_path / "recordings" / name)
-    np.save(tmp_path / "recordings" / "damaged" / "reading.npy", np.zeros((3, 2)))
-    np.save(tmp_path / "recordings" / "late" / "time.npy", np.zeros(2))
-    names = ("one", "damaged", "missing", "late", "other")
-    plans: Any = [SimpleNamespace(run=f"run-{name}", recording=name) for name in names]
-    told: list[Any] = []
-    failed = diagnose_all(plans, tmp_path, lambda *what: told.append(what[:3]))
-    assert set(failed) == {"run-damaged", "run-missing", "run-late"}
-    assert "reading.npy" in failed["run-damaged"] and "time.npy" not in failed["run-damaged"]
-    assert "time.npy" in failed["run-late"] and "missing" in failed["run-missing"]
-    assert all(read_diagnosis(tmp_path / "runs" / f"run-{name}") is not None for name in ("one", "other"))
-    assert told[-1] == ("diagnose", 5, 5)

@@ -33,13 +33,6 @@ def test_the_thirty_rooms_are_of_every_kind_and_shape_and_none_that_was_develope
     assert min(room.seed for room in rooms) >= 30
 
 
-def test_strategies_differ_in_nothing_but_the_strategy_and_have_batches_of_one_size() -> None:
-    for one in plan("strategies"):
-        train = one.scenario.learn.train
-        assert (train.samples == 2) == (one.scenario.drive.strategy == "endpoint")
-        assert train.segments * train.samples == 256
-
-
 def test_every_fault_of_the_camera_has_words_and_is_in_a_study() -> None:
     groups = ("image_faults", "camera_mount", "deployment", "deployment.image_faults")
     known = {name for name, _ in list_settings(SimSettings) if name.rpartition(".")[0] in groups}

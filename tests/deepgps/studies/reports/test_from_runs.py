@@ -4,35 +4,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
-from deepgps.config.learning import NetworkSettings
-from deepgps.evaluation.error_field import read_fields
-from deepgps.evaluation.measures import find_seen, measure_visible
-from deepgps.learning.networks import make_network
-from deepgps.positioner.positioner import NetworkPositioner
-from deepgps.studies.reports import maps
-from deepgps.studies.reports.explore import DONE_SHARE
-from deepgps.studies.reports.from_runs import FLOOR_STRIDE, add_errors, add_explored, add_reach, measure_turn_spread
+from deepgps.evaluation.measures import find_seen
+from deepgps.studies.reports.from_runs import FLOOR_STRIDE, add_errors, add_explored
+from deepgps.studies.reports.worlds import DONE_SHARE
 from sim.recording.format import open_truth
-
-
-def test_only_the_invariant_network_does_not_see_a_turn() -> None:
-    for architecture, sees in (("invariant", False), ("resnet", True), ("resnet_plain", True)):
-        settings = NetworkSettings.model_validate({"architecture": architecture, "channels": 8})
-        network = make_network(settings, 0, 2, torch.Generator().manual_seed(0)).eval()
-        positioner = NetworkPositioner((8, 32, 3), None, settings, network, torch.zeros(2), torch.eye(2))
-        images = np.random.default_rng(0).integers(0, 256, (3, 8, 32, 3), dtype=np.uint8)
-        spread = measure_turn_spread(positioner, images)
-        assert spread > 1e-3 if sees else spread < 1e-5
-
-
-def test_the_columns_of_reach_hold_every_position(finished_run: Path) -> None:
-    row = add_reach(finished_run, {"method": "deepgps"})
-    field = read_fields(finished_run)["deepgps"]
-    np.testing.assert_allclose(sorted(maps.pool([row])), sorted(field.error), rtol=1e-6)
-    visible = measure_visible(open_truth(finished_run / "recording").free_space, field.truth)
-    assert len(row["errors_5_m"]) == (visible >= 0.5).sum()
 
 
 def test_images_needed_are_the_fewest_that_leave_so_little_floor_unseen(finished_run: Path) -> None:

@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 
 from deepgps.reports.plots import to_png
 from deepgps.studies.catalog import REPORTS
-from deepgps.studies.reports import changes, compare, encoder, explore, maps, paper
+from deepgps.studies.reports import changes, compare, encoder, paper, worlds
 from deepgps.studies.reports.diagnose import QUANTITIES
 from deepgps.studies.reports.encoder import FAULTLESS_VALUES, find_sweeps
-from deepgps.studies.reports.explore import HEADINGS, KIND, SEED, UNTIL, compare_with_explore
 from deepgps.studies.reports.pictures import draw
 from deepgps.studies.reports.render import prepare
+from deepgps.studies.reports.worlds import HEADINGS, SEED, UNTIL, compare_with_explore
 from deepgps.studies.study import load_study
 from deepgps.studies.table import Row, split_by
 from tests.helpers.reports import find_line, read_cells, report_rows, values_of
@@ -133,8 +133,8 @@ def test_curves_run_through_the_means_and_bands_from_best_to_worst() -> None:
 
 
 def test_wrong_maps_are_counted_by_what_is_said_of_them() -> None:
-    own = {"misplaced": 0.02, "undecided": None, "turned": 0.0, "seen": 0.9, maps.NOISE: 0.0}
-    noisy = {**own, "misplaced": 0.6, maps.NOISE: 0.3}
+    own = {"misplaced": 0.02, "undecided": None, "turned": 0.0, "seen": 0.9, worlds.NOISE: 0.0}
+    noisy = {**own, "misplaced": 0.6, worlds.NOISE: 0.3}
     rows = [
         make_row(0.3, "deepgps_compass", recording="0", **own),
         make_row(0.2, "posenet", recording="0", **{**own, "misplaced": None}),
@@ -143,7 +143,7 @@ def test_wrong_maps_are_counted_by_what_is_said_of_them() -> None:
         make_row(2.0, recording="0", **{**own, "misplaced": 0.4}) | {"fold_found": True},
         make_row(0.3, recording="1", **{**own, "turned": 0.1}) | {"fold_found": True},
     ]
-    (text, figures), ours = report_rows("corridors", rows, [maps.NOISE]), "deepgps_compass"
+    (text, figures), ours = report_rows("corridors", rows, [worlds.NOISE]), "deepgps_compass"
     assert read_cells(text)[-3:] == [
         ["0", "DeepGPS, compass", "1", "0", "0", "0", "-", "0", "0"],
         ["0.3", "DeepGPS, compass", "2", "2", "0", "0", "1", "1", "0"],
@@ -196,24 +196,6 @@ def test_a_study_of_changes_on_one_kind_of_features_needs_not_vary_it() -> None:
     picture = draw(report.pictures["change"], prepare(report, rows, varied), varied, Path())
     assert to_png(picture).startswith(b"\x89PNG")
     assert [tick.get_text() for tick in picture.axes[0].get_yticklabels()] == ["no change", "all light x 0.2"]
-
-
-# --- maps
-
-
-def reaching(method: str, shape: str, little: float, rest: float) -> Row:
-    """10 positions that reach little of the room, 90 that reach much, and the error of each [m]."""
-    errors = {f"errors_{part}_m": {0: [little] * 10, 4: [rest] * 90}.get(part, []) for part in range(maps.BINS)}
-    return make_row(rest, method, **{"room.shape": shape}, **errors)
-
-
-def test_what_little_reach_costs_is_told_for_each_method_where_there_is_any() -> None:
-    rows = [reaching("deepgps", "rectangle", 0.4, 0.01), reaching("deepgps", "two_rooms", 0.4, 0.02)]
-    values = values_of("concave", [*rows, reaching("posenet", "rectangle", 0.01, 0.01)], ["room.shape"])
-    assert values["deepgps_little"] == pytest.approx(0.4 / np.sqrt((0.02**2 + 0.01**2) / 2))
-    assert values["posenet_little"] == pytest.approx(1.0)
-    assert "posenet_two_rooms" not in values
-    assert "deepgps_little" not in values_of("concave", [rows[0] | {"errors_0_m": []}], ["room.shape"])
 
 
 # --- encoders
@@ -335,11 +317,3 @@ def test_images_are_compared_in_one_room_and_what_was_said_with_the_truth():
     assert [row["over_explore"] for row in rows] == [0.5, 1.0, 0.5, 1.0, None, None]
     assert [row["holds"] for row in rows] == [None] * 4 + [True] * 2
     assert rows[-1]["apart"] == pytest.approx(0.002)
-
-
-def test_rooms_are_driven_by_all_planners_and_by_map_until_it_is_done():
-    compared = [(0, {HEADINGS: name, KIND: "office"}) for name in ("map", "explore")]
-    done = [(0, {HEADINGS: name, KIND: "flat", UNTIL: 0.005}) for name in ("map", "explore")]
-    by_map, by_explore = compared
-    also = (0, {**by_map[1], UNTIL: explore.DONE_SHARE})
-    assert explore.draw_runs({}, [*compared, *done]) == [by_map, also, by_explore, done[0]]

@@ -1,11 +1,10 @@
-"""The reports "explore", "homes": how soon a drive has seen the floor, what it says of that, and homes that it maps."""
+"""The reports "explore", "homes", "corridors": drives that see a floor, homes, and worlds that look alike."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
-from deepgps.studies.reports.maps import FAR_SHARE
-from deepgps.studies.reports.record import GRID, VARIED_SETTINGS, Scatter, StudyReport, Table, Target
-from deepgps.studies.table import Point, Row
+from deepgps.studies.reports.paper import OUR_METHODS, compare_with_posenet
+from deepgps.studies.reports.record import GRID, VARIED_SETTINGS, Dots, Scatter, StudyReport, Table, Target
+from deepgps.studies.table import Row
 
 HEADINGS, KIND, SEED, UNTIL = "drive.headings", "room.kind", "room.seed", "drive.until.unseen"
 DONE_SHARE = 0.005  # Share of the floor that is unseen when a drive by map is done
@@ -20,18 +19,17 @@ HOMES_NOTE = (
     "free floor. Doors: median at test positions within 0.6 m of one. Off: share of the training images that are "
     "placed more than 0.5 m from the truth; a map is wrong from 10 %. Radius: what the run says of itself."
 )
-
-
-def draw_runs(common: Mapping[str, Any], drives: Sequence[tuple[int, Point]]) -> list[tuple[int, Point]]:
-    """All drives, and after each by map one that ends when it is done; where all drives end so, those by map alone."""
-    runs = []
-    for seed, drive in drives:
-        is_by_map, is_done = drive[HEADINGS] == "map", UNTIL in drive
-        if is_by_map or not is_done:
-            runs.append((seed, drive))
-        if is_by_map and not is_done:
-            runs.append((seed, {**drive, UNTIL: DONE_SHARE}))
-    return runs
+NOISE = "encoder.step_noise"
+SIGNS = {"fold_found": "folded", "turned": "turned", "undecided": "undecided"}
+"""Columns that say that a map is wrong, and their words: the fold detector, parts turned by the compass, the map."""
+FAR_SHARE = 0.1  # A map is wrong if it misplaces more than this share of the training images
+CORRIDORS_NOTE = (
+    f"{GRID}Map: RMS of the initial map by compass, before training. Off: share of the training images that are placed "
+    f"more than 0.5 m from the truth; a map with more than {100 * FAR_SHARE:.0f} % is wrong. Said: what the "
+    "method says of its map without the truth, and the share of the way that it finds turned. Seen: share of "
+    "positions within 0.25 m of a training image; where it is low, errors are the drive's. PoseNet and the nearest "
+    "neighbour learn from true positions, so that noise of the encoders does not change them. Base: PoseNet."
+)
 
 
 def compare_with_explore(rows: Sequence[Row], varied: Sequence[str]) -> list[Row]:
@@ -53,6 +51,34 @@ def judge_homes(rows: Sequence[Row], varied: Sequence[str]) -> list[Row]:
     return [{**row, "wrong": row["misplaced"] > FAR_SHARE} for row in rows]
 
 
+def judge_maps(rows: Sequence[Row], varied: Sequence[str]) -> list[Row]:
+    """The same, with whether a method's own map is wrong, what is said of it without the truth, and what is not."""
+    prepared = []
+    usual = {"turned": None, "undecided": None, NOISE: None}
+    for row in compare_with_posenet([{**usual, **row} for row in rows], varied):
+        judged: Row = {"maps": None, "wrong": None, "wrong_unsaid": None, "right_said_wrong": None, "said": None}
+        judged |= {f"said_{word}": None if row[name] is None else bool(row[name]) for name, word in SIGNS.items()}
+        if row["fold_found"] is not None and row.get("misplaced") is not None:
+            wrong, words = row["misplaced"] > FAR_SHARE, [word for name, word in SIGNS.items() if row[name]]
+            judged |= {"maps": True, "wrong": wrong, "said": ", ".join(words) or "nothing"}
+            judged |= {"wrong_unsaid": wrong and not words, "right_said_wrong": bool(words) and not wrong}
+        known = [name for name in ("rms_m", "median_m") if row["base_rms_m"]]
+        prepared.append({**row, **judged, **{f"{name}_ratio": row[name] / row[f"base_{name}"] for name in known}})
+    return prepared
+
+
+def _list_targets_of_corridors() -> list[Target]:
+    exact, ours = {"method": OUR_METHODS, NOISE: (None, 0)}, {"method": OUR_METHODS}
+    nearest, over = "least RMS of the nearest neighbour, of {count}", "PoseNet's, median over worlds"
+    unsaid = "{label}: maps wrong and not said to be, of {count}"
+    return [
+        Target("{method}_rms_ratio", f"{{label}}: RMS / {over}", "rms_m_ratio:median", exact, per="method"),
+        Target("{method}_median_ratio", f"{{label}}: median / {over}", "median_m_ratio:median", exact, per="method"),
+        Target("{method}_unsaid", unsaid, "wrong_unsaid:count", ours, per="method"),
+        Target("aliased_rms_m", nearest, "rms_m", {"method": "knn"}, each="recording", at_least=True),
+    ]
+
+
 _PLANNERS = Table(
     HEADINGS,
     "runs images_needed:median images_needed:max reached over_explore:median over_explore:min over_explore:max",
@@ -67,16 +93,22 @@ _DONE = Table(
     title="Done",
 )
 _PROMISES = Scatter(
-    (("unseen_true", "unseen", ""),),
+    "unseen_true",
+    "unseen",
     KIND,
     ("truly unseen [%]", "unseen by the robot's own map [%]"),
     bars=("unseen_low", "unseen_high"),
-    equal=True,
     where={"done": True},
 )
 _HOMES = Table(
     VARIED_SETTINGS,
     "distance_m rooms entered seen rms_m median_m door_median_m rms_accepted_m accepted misplaced wrong left_out_m",
+)
+_WORLDS = Table(
+    f"{VARIED_SETTINGS} method", "rms_m median_m rms_m/base median_m/base map_rms_m misplaced said turned seen"
+)
+_WRONG_MAPS = Table(
+    f"{NOISE} method", "maps wrong said_folded said_turned said_undecided wrong_unsaid right_said_wrong", {"maps": True}
 )
 REPORTS = {
     "explore": StudyReport(
@@ -90,7 +122,6 @@ REPORTS = {
         ),
         pictures={"explore": _PROMISES},
         columns="from_runs:add_explored",
-        draw_runs=draw_runs,
         varies=(HEADINGS, KIND),
     ),
     "homes": StudyReport(
@@ -104,5 +135,12 @@ REPORTS = {
             Target("wrong", "maps wrong, of {count}", "wrong:count"),
         ),
         columns="from_runs:add_home",
+    ),
+    "corridors": StudyReport(
+        (_WORLDS, _WRONG_MAPS),
+        CORRIDORS_NOTE,
+        judge_maps,
+        targets=_list_targets_of_corridors(),
+        pictures={"corridors": Dots(VARIED_SETTINGS, cross={"wrong": True})},
     ),
 }
