@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from deepgps.reports.table import tabulate
-from sim.files.checksums import sha256
 
 ROWS, COLUMNS = 10, 8
 LESSER_COLUMNS = (
@@ -78,15 +77,13 @@ def _drop_sentences(note: str, headings: set[str]) -> str:
 
 
 def main(folders: Sequence[str]) -> None:
-    """Shorten the page of each folder, and write its checksum into the list of published files."""
+    """Shorten the page of each folder."""
     for folder in map(Path, folders):
-        page, sums = folder / "table.md", folder / "SHA256SUMS"
+        page = folder / "table.md"
         text = page.read_text(encoding="utf-8")
         at = text.index("\n\n", text.rindex("\n|")) + 2  # the last table is followed by doubts and the origin
-        before = sha256(page)
         rest = re.sub(r"^- .*\n+", "", text[at:], flags=re.MULTILINE)  # runs that doubt are counted, and not listed
         page.write_text(f"{shorten(text[:at])}\n{rest}", encoding="utf-8")
-        sums.write_text(sums.read_text().replace(before, sha256(page)))
 
 
 if __name__ == "__main__":

@@ -17,4 +17,5 @@ def test_what_the_report_makes_is_published_and_a_picture_that_it_no_longer_draw
         write_bytes(pages / name, b"before")
     publish(study, out, pages)
     left = {path.relative_to(pages).as_posix(): path.read_text() for path in pages.rglob("*.*")}
-    assert left == {name: name for name in ("table.parquet", "table.md", "figures/errors.png")} | {"notes.txt": "before"}
+    made = {name: name for name in ("table.parquet", "table.md", "figures/errors.png")}
+    assert left == made | {"notes.txt": "before"}
