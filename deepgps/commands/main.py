@@ -56,7 +56,6 @@ COMMANDS = {
     "rooms": Command("machine", "RoomsArguments", "draw a contact sheet of generated rooms"),
     "doctor": Command("machine", "DoctorArguments", "check this machine and say how to fix what is missing"),
 }
-COMPLETIONS = ("--tyro-print-completion", "--tyro-write-completion")
 
 
 def main(words: Sequence[str] | None = None) -> None:
@@ -95,8 +94,6 @@ def _dispatch(words: Sequence[str]) -> None:
         _dispatch([*words[1:], "--help"])
     elif first in {"help", "-h", "--help", "--help-all"}:
         _print_help()
-    elif first in COMPLETIONS:
-        _write_completion(words)
     elif first in {"-V", "--version"}:
         console.print(f"deepgps {find_version()}")
     elif first.startswith("-"):
@@ -133,20 +130,6 @@ def _print_help() -> None:
     for name, command in COMMANDS.items():
         say(f"  {name:<11} {command.summary}")
     console.print("\ndeepgps COMMAND --help shows the options of a command.")
-    console.print("deepgps --tyro-print-completion SHELL prints a script for bash, zsh or fish.")
-
-
-def _write_completion(words: Sequence[str]) -> None:
-    import tyro
-
-    from deepgps.commands.parse import CONFIG
-    from deepgps.commands.scenario import ScenarioArguments
-
-    app = tyro.extras.SubcommandApp()
-    for name, command in COMMANDS.items():
-        kind: Any = ScenarioArguments if command.module == "run" else command.find(command.arguments)
-        app.command(kind, name=name)
-    app.cli(prog="deepgps", args=words, config=CONFIG)
 
 
 if __name__ == "__main__":

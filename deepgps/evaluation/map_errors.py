@@ -13,7 +13,6 @@ from scipy.spatial import KDTree
 from deepgps.data.segments import find_runs
 from deepgps.data.turns import compare_headings, find_in_place, take_images, turns_with_images
 from deepgps.evaluation.error_field import ErrorField, find_rms
-from deepgps.evaluation.measures import measure_flipped_patch
 from deepgps.initial_map.stored_map import StoredMap, read_map
 from sim.alignment import fit_alignment
 from sim.geometry import wrap
@@ -65,8 +64,6 @@ def judge_map(placed: PlacedMap) -> dict[str, float]:
         "rms_m": find_rms(error),  # Errors of the map's positions [m]
         "median_m": float(np.median(error)),  # Errors of the map's positions [m]
         "max_m": float(error.max()),  # Errors of the map's positions [m]
-        # Area of the largest connected patch that the map turns over [m2]
-        "flipped_m2": measure_flipped_patch(placed.truth, placed.position),
         # Normalised estimation error squared over its expectation of 2: 1 for a covariance that is right
         "nees": measure_nees(placed.covariance, placed.samples, apart),
     }

@@ -44,7 +44,8 @@ def evaluate(scenario: Scenario, folder: Path, progress: Report) -> dict[str, An
     if path.name == METRICS:
         head = {"scenario": scenario.title, "seed": scenario.seed}
         made_with = describe_environment(folder, measured["methods"].values())
-        measured = {**head, **measured, "timing_s": stage_times(folder), "environment": made_with}
+        times = {name: seconds for name, seconds in stage_times(folder).items() if name != "show"}
+        measured = {**head, **measured, "timing_s": times, "environment": made_with}
     write_json(path, measured)
     return read_json(path)
 

@@ -8,7 +8,6 @@ segment passes.
 from typing import Any
 
 import numpy as np
-from scipy import ndimage
 from scipy.spatial import KDTree
 
 from deepgps.evaluation.error_field import ErrorField, find_rms, find_worst
@@ -52,9 +51,6 @@ def name_part(cells: np.ndarray, chosen: np.ndarray) -> str | None:
     return "-".join(filter(None, (north, east))) or None
 
 
-PATCH_SPACING_M = 0.1  # Side of the cells on which patches are measured [m]
-
-
 def measure_flipped(truth: np.ndarray, predicted: np.ndarray, spacing_m: float) -> float:
     """Share of a map that is flipped, as by a fold: 0 for a correct map, at most a half.
 
@@ -65,22 +61,6 @@ def measure_flipped(truth: np.ndarray, predicted: np.ndarray, spacing_m: float) 
     area = _measure_areas(np.rint((truth - truth.min(axis=0)) / spacing_m).astype(int), predicted)
     area = area[np.isfinite(area)]
     return float(min((area > 0).mean(), (area < 0).mean())) if len(area) else 0.0
-
-
-def measure_flipped_patch(truth: np.ndarray, positions: np.ndarray) -> float:
-    """Area [m^2] of the largest connected patch of flipped neighbourhoods in a map of scattered positions.
-
-    The displacement of positions (n, 2) [m] from the true ones is averaged in cells of ``PATCH_SPACING_M``; those
-    without a position have no neighbourhood.
-    """
-    cell, number = np.unique(np.floor(truth / PATCH_SPACING_M).astype(int), axis=0, return_inverse=True)
-    number = number.ravel()
-    away = np.stack([np.bincount(number, axis) for axis in (positions - truth).T], axis=1)
-    centre = PATCH_SPACING_M * cell + away / np.bincount(number)[:, None]
-    flipped = _measure_areas(cell - cell.min(axis=0), centre) < 0.0
-    patch = np.zeros(flipped.shape, np.int32)
-    ndimage.label(flipped, output=patch)
-    return float(np.bincount(patch[flipped]).max(initial=0) * PATCH_SPACING_M**2)
 
 
 def _measure_areas(cell: np.ndarray, place: np.ndarray) -> np.ndarray:

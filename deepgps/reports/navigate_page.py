@@ -6,7 +6,7 @@ from rich.console import Console
 from deepgps.config.methods import title_of
 from deepgps.evaluation.navigate_run import SUCCESS_LIMITS_M, Driven
 from deepgps.navigation.simulate import TRUE_POSE, WHEELS
-from deepgps.reports.table import fill, print_table, say, write_hundredths
+from deepgps.reports.table import choose, fill, head, print_table, say, write_hundredths
 
 COLUMNS = (
     ("0.1 m [%]", "success_0_1m", write_hundredths),
@@ -26,9 +26,9 @@ MAX_LINES = 10  # Goals of a method about which a line is printed
 
 def print_drives(driven: Driven, console: Console) -> None:
     """Print the table, and why goals were refused or missed."""
-    columns = [column for column in COLUMNS if any(column[1] in one for one in driven.figures.values())]
+    columns = choose(COLUMNS, driven.figures.values())
     rows = [[TITLES.get(name, title_of(name)), *fill(columns, one)] for name, one in driven.figures.items()]
-    print_table(console, ("positions", *(column[0] for column in columns)), rows)
+    print_table(console, ("positions", *head(columns)), rows)
     say(console, "\nShares of goals reached within 0.1 and 0.2 m, also after it was carried; contacts a goal.")
     for name, log in driven.logs.items():
         goal, lines = driven.trips[name].alignment.apply(log["goal"]), []

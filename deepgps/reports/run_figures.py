@@ -39,8 +39,7 @@ def make_figures(run: Path) -> dict[str, Figure]:
     metrics, fields, histories = read_metrics(run), read_all_headings(run), read_histories(run)
     truth, recording = open_truth(run / "recording"), open_recording(run / "recording")
     space = truth.free_space
-    figures = {f"error_field_{name}": draw_error_field(space, field, name) for name, field in fields.items()}
-    figures["error_fields"] = draw_comparison(space, fields, metrics)
+    figures = {"error_fields": draw_comparison(space, fields, metrics)}
     figures["error_cdf"] = draw_error_cdf(fields)
     figures["drive"] = draw_drive(truth, recording.reading, recording.manifest.distance_driven_m)
     if histories:
@@ -52,17 +51,6 @@ def read_histories(run: Path) -> dict[str, dict[str, np.ndarray]]:
     """Read each method's history.npz; methods that are not trained step by step have none."""
     histories = {path.parent.name: read_arrays(path) for path in run.glob("*/history.npz")}
     return {name: histories[name] for name in sorted(histories, key=_rank)}
-
-
-def draw_error_field(space: FreeSpace, field: ErrorField, name: str) -> Figure:
-    """One method's error field over the room."""
-    figure = Figure(figsize=(9, 7.4 * _aspect(space) + 1.0 + NOTE_IN), layout="constrained")
-    axes = figure.add_subplot()
-    draw_field(axes, space, field)
-    axes.set_title(f"{title_of(name)}: {_summary(field)}", fontsize=13)
-    add_scale(figure, [axes])
-    explain_refused(figure, [field])
-    return figure
 
 
 def draw_comparison(space: FreeSpace, fields: Mapping[str, ErrorField], metrics: Mapping[str, Any]) -> Figure:

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from itertools import islice
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from rich.console import Console
@@ -10,8 +11,9 @@ from rich.console import Console
 from deepgps.config.methods import METHODS, title_of
 from deepgps.evaluation.error_field import REPAIR_HINT
 from deepgps.reports import table
-from deepgps.reports.table import Column, fill, write_centimetres, write_hundredths
+from deepgps.reports.table import Column, choose, fill, head, write_centimetres, write_hundredths
 from deepgps.reports.without_truth import print_without_truth
+from deepgps.runs.provenance import stage_times
 from deepgps.runs.run_folder import METRICS
 from deepgps.tracking.causes import describe_causes
 from sim.errors import DamagedError, InputError
@@ -32,7 +34,9 @@ COLUMNS: tuple[Column, ...] = (
     ("train [s]", "train_s", lambda value: f"{value:.1f}"),
 )
 """Columns of the table, which fits into 80 columns of a terminal."""
+NO_TIMES = MappingProxyType[str, float]({})
 MIN_LEAN_DEG, MIN_WOBBLE_DEG = 0.1, 0.3  # Smallest lean, and increase of the wobble, that are reported [deg]
+COLUMNS_NOTE = "RMS / side: over the room's shorter side; yaw: RMS error of the heading."
 OVERVIEW = tuple(column for column in COLUMNS if column[1] in {"rms_m", "median_m", "max_m", "relative_rms"})
 
 
@@ -56,33 +60,18 @@ def tabulate(metrics: Mapping[str, Any], columns: Sequence[Column] = COLUMNS) ->
     Below the row of a method that refuses images is one with the same errors of what it accepts. The last row is the
     path by the wheels alone.
     """
-    has_yaw = any("yaw_rms_deg" in values for values in metrics["methods"].values())
-    columns = [column for column in columns if column[1] != "yaw_rms_deg" or has_yaw]
-    headings = ("method", *(heading for heading, _, _ in columns))
     methods, order = metrics["methods"], list(METHODS)
+    columns = choose(columns, methods.values())
     names = sorted(methods, key=lambda name: order.index(name) if name in order else len(order))
     rows = [row for name in names for row in _rows(name, methods[name], columns)]
     path = metrics.get("trajectory")
-    return headings, [*rows, *([("Dead reckoning, path", *fill(columns, path))] if path else [])]
+    return ("method", *head(columns)), [*rows, *([("Dead reckoning, path", *fill(columns, path))] if path else [])]
 
 
-def read_times(run: Path, metrics: Mapping[str, Any]) -> dict[str, float]:
-    """Seconds of each stage of a run in all sittings; if ``timing.json`` cannot be read, those in the metrics."""
-    try:
-        stored = {name: float(value) for name, value in read_json(run / "timing.json").items()}
-    except (OSError, ValueError, TypeError, AttributeError):
-        return dict(metrics["timing_s"])
-    times: dict[str, float] = {}
-    for name, seconds in stored.items():
-        stage = name.partition(" ")[0]  # a training is timed as "train" and its method
-        times[stage] = times.get(stage, 0.0) + seconds
-    return times
-
-
-def describe(metrics: Mapping[str, Any], times: Mapping[str, float] | None = None) -> list[str]:
+def describe(metrics: Mapping[str, Any], times: Mapping[str, float] = NO_TIMES) -> list[str]:
     """Describe the drive, the encoders, the coverage, what is accepted, the camera, the deployment drive and the time.
 
-    Seconds of each stage are those in the metrics, without ``show``, unless they are given.
+    Seconds of each stage in all sittings are those in the metrics, without ``show``, unless they are given.
     """
     coverage, methods = metrics["coverage"], metrics["methods"]
     seen, reachable = coverage["cells_seen"], coverage["reachable_cells"]
@@ -109,7 +98,7 @@ def describe(metrics: Mapping[str, Any], times: Mapping[str, float] | None = Non
     if trajectory := metrics.get("trajectory"):
         error = f"RMS {trajectory['rms_m']:.2f} m, at most {trajectory['max_m']:.2f} m"
         sentences.append(f"The dead-reckoned path, best aligned with the true one, is off by {error}.")
-    stages: Mapping[str, float] = metrics["timing_s"] if times is None else times
+    stages: Mapping[str, float] = times or metrics["timing_s"]
     parts = ", ".join(f"{name} {float(value):.1f} s" for name, value in stages.items())
     return [
         *sentences,
@@ -143,7 +132,8 @@ def markdown_report(metrics: Mapping[str, Any]) -> str:
     sentences = [*(f"- **{sentence}**" for sentence in judge_run(metrics)), *(f"- {one}" for one in describe(metrics))]
     environment = [f"- {name}: {_plain(value)}" for name, value in metrics["environment"].items()]
     title, said = f"# {metrics['scenario']}, seed {metrics['seed']}", "\n".join(sentences)
-    blocks = [title, markdown_table(metrics), describe_errors(metrics), said, "## Environment", "\n".join(environment)]
+    note = f"{describe_errors(metrics)} {COLUMNS_NOTE}"
+    blocks = [title, markdown_table(metrics), note, said, "## Environment", "\n".join(environment)]
     return "\n\n".join(blocks) + "\n"
 
 
@@ -159,7 +149,7 @@ def print_report(run: Path, console: Console, sitting_s: float | None = None) ->
     title = f"{metrics['scenario']}, seed {metrics['seed']}"
     table.print_table(console, headings, rows, title, bold=title_of("deepgps"))
     console.print()
-    table.say(console, *describe(metrics, read_times(run, metrics)))
+    table.say(console, f"{describe_errors(metrics)} {COLUMNS_NOTE}", *describe(metrics, stage_times(run)))
     table.say(console, *judge_run(metrics), style="yellow")
     if sitting_s is not None:
         table.say(console, f"This command took {sitting_s:.1f} s, its start included.")

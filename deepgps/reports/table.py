@@ -1,6 +1,6 @@
 """A table and sentences, written as Markdown or printed in the terminal."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from rich import box
@@ -19,6 +19,17 @@ def write_hundredths(value: float) -> str:
 def write_centimetres(value: float) -> str:
     """A length [m] in centimetres, from 100 on without decimals."""
     return f"{100 * value:.0f}" if value >= 0.9995 else f"{100 * value:.1f}"
+
+
+def choose(columns: Sequence[Column], figures: Iterable[Mapping[str, Any]]) -> list[Column]:
+    """The columns that any of these figures has."""
+    known = {key for one in figures for key, value in one.items() if value is not None}
+    return [column for column in columns if column[1] in known]
+
+
+def head(columns: Sequence[Column]) -> list[str]:
+    """The headings of columns."""
+    return [heading for heading, _, _ in columns]
 
 
 def fill(columns: Sequence[Column], figures: Mapping[str, Any], unknown: str = "-") -> list[str]:

@@ -1,7 +1,6 @@
 """The page of a tracked drive: a table of its errors, and a picture of the path and of the errors over time."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,23 +11,28 @@ from rich.console import Console
 from deepgps.config.methods import title_of
 from deepgps.evaluation.track_run import POSE_SEPARATION, Reference, Tracked, measure_distances, take_in_world
 from deepgps.reports.plots import PAPER, SCALE_M, add_scale, colours_of, count_by_decades, draw_room, to_png
-from deepgps.reports.table import print_table, say
+from deepgps.reports.table import Column, fill, head, print_table, say
 from deepgps.tracking.causes import describe_causes
 from deepgps.tracking.track import PATHS, Track
 from sim.files.atomic import write_bytes
 from sim.recording.turns import NO_IMAGE
 
-COLUMNS = (
-    ("RMS, cm", "rms_m", 100.0),
-    ("median", "median_m", 100.0),
-    ("95 %", "p95_m", 100.0),
-    ("max", "max_m", 100.0),
-    ("ATE", "ate_m", 100.0),
-    ("RPE", "rpe_m", 100.0),
-    ("yaw, deg", "yaw_rms_deg", 1.0),
-    ("accepted, %", "accepted", 100.0),
+
+def write_fine(value: float) -> str:
+    """A length [m] in centimetres, or a share in per cent, with two decimals."""
+    return f"{100 * value:.2f}"
+
+
+COLUMNS: tuple[Column, ...] = (
+    ("RMS [cm]", "rms_m", write_fine),
+    ("median [cm]", "median_m", write_fine),
+    ("95 % [cm]", "p95_m", write_fine),
+    ("max [cm]", "max_m", write_fine),
+    ("ATE [cm]", "ate_m", write_fine),
+    ("RPE [cm]", "rpe_m", write_fine),
+    ("yaw [deg]", "yaw_rms_deg", "{:.2f}".format),
+    ("accepted [%]", "accepted", write_fine),
 )
-"""Columns of the table: heading, key, factor to the unit."""
 COLOURS = {"single": "#9aa5b1", "causal": "#e07b00", "smoothed": "#0b62d6", "dead_reckoning": "#7a5c3e"}
 """Paths that are drawn."""
 
@@ -48,19 +52,12 @@ def print_track(tracked: Tracked, console: Console) -> None:
         frame = "map's own frame" if tracked.alignment is None else "world's frame"
         say(console, f"The truth is not known, so there are no errors. --tum writes poses in the {frame}.")
         return
-    print_table(console, ("path", *(one[0] for one in COLUMNS)), list_rows(figures["paths"]))
+    rows = [[title, *fill(COLUMNS, figures["paths"][name])] for name, title in PATHS.items()]
+    print_table(console, ("path", *head(COLUMNS)), rows)
     say(
         console,
         f"\nErrors on images of the drive; ATE after an alignment of its own, RPE over {POSE_SEPARATION} images.",
     )
-
-
-def list_rows(paths: dict[str, dict[str, Any]]) -> list[list[str]]:
-    """A row for each path: its title and figures, a dash where it has none."""
-    return [
-        [title, *("-" if key not in paths[name] else f"{factor * paths[name][key]:.2f}" for _, key, factor in COLUMNS)]
-        for name, title in PATHS.items()
-    ]
 
 
 def draw_track(tracked: Tracked) -> Path | None:

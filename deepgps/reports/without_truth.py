@@ -9,7 +9,7 @@ from rich.console import Console
 from deepgps.config.methods import title_of
 from deepgps.evaluation.without_truth import read_judged
 from deepgps.reports import table
-from deepgps.reports.table import Column, fill, write_hundredths
+from deepgps.reports.table import Column, choose, fill, head, write_hundredths
 from deepgps.tracking.causes import describe_causes
 from sim.errors import InputError
 
@@ -45,8 +45,9 @@ def print_without_truth(run: Path, console: Console) -> bool:
 def tabulate(found: Mapping[str, Any]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     """Headings and one row per method, of the segments held out or, if there are none, of those trained on."""
     kind = "held_out" if "held_out" in found else "segments"
-    rows = [(title_of(name), *fill(COLUMNS, values.get(kind, {}))) for name, values in found["methods"].items()]
-    return ("method", *(heading for heading, _, _ in COLUMNS)), rows
+    figures = {name: values.get(kind, {}) for name, values in found["methods"].items()}
+    columns = choose(COLUMNS, figures.values())
+    return ("method", *head(columns)), [(title_of(name), *fill(columns, one)) for name, one in figures.items()]
 
 
 def markdown(run: Path) -> str:

@@ -18,7 +18,6 @@ from sim.recording.format import read_manifest
 ROOT = Path(__file__).parents[2]  # Where the package lies: the root of a clone, or the packages of an installation
 NAMED_PACKAGES = ("mujoco", "torch", "numpy")  # Packages that a study's report names
 PACKAGES = ("deepgps", "mujoco", "torch", "numpy", "opencv-python-headless", "rerun-sdk")
-TIMED_STAGES = ("collect", "train", "evaluate")  # The stages whose seconds ``metrics.json`` holds
 
 log = logging.getLogger(__name__)
 
@@ -88,10 +87,12 @@ def timed(folder: Path, stage: str, done: bool = False) -> Iterator[None]:
 
 
 def stage_times(folder: Path) -> dict[str, float]:
-    """Seconds of collecting, training and evaluating, without work done elsewhere, such as a study's recordings."""
-    times = _read_times(folder)
-    parts = {name: [times[one] for one in times if one.partition(" ")[0] == name] for name in TIMED_STAGES}
-    return {name: round(sum(seconds), 2) for name, seconds in parts.items() if seconds}
+    """Seconds of each stage of a run, without work done elsewhere, such as a study's recordings."""
+    times: dict[str, float] = {}
+    for name, seconds in _read_times(folder).items():
+        stage = name.partition(" ")[0]  # a training is timed as "train" and its method
+        times[stage] = round(times.get(stage, 0.0) + seconds, 2)
+    return times
 
 
 def _read_times(folder: Path) -> dict[str, float]:

@@ -26,7 +26,7 @@ FIGURES = (
     *("radius_68_holds", "radius_95_holds", "radius_68_median_m"),
 )
 # figures of a map by compass
-MAP_FIGURES = ("rms_m", "expected_rms_m", "nees", "flipped_m2")
+MAP_FIGURES = ("rms_m", "expected_rms_m")
 LEVELS = (68, 95)  # Probabilities with which the radii of images hold the true position [%]
 
 
@@ -178,14 +178,11 @@ def _rows(plan: Plan, varied: Sequence[str], failure: str | None, folder: Path) 
 
 def _figures(measured: Mapping[str, Any]) -> Row:
     # only methods whose map can fold have a fold detector
-    fold = measured.get("fold", {})
-    score = {name: fold.get(name) for name in ("length_error_fraction", "overlap_fraction")}
     found = {f"map_{name}": measured.get("map", {}).get(name) for name in MAP_FIGURES}
     signs = {"undecided": measured.get("undecided"), "turned": measured.get("turned", {}).get("share")}
     return {
         **{name: measured.get(name) for name in FIGURES},
-        "fold_found": fold.get("found"),
-        **score,
+        "fold_found": measured.get("fold", {}).get("found"),
         **signs,
         **found,
     }

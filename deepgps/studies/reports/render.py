@@ -34,9 +34,7 @@ HEADINGS = {
         "rms_accepted_m": "RMS of accepted",
         "max_accepted_m": "max of accepted",
         "map_rms_m": "map",
-        "nees": "NEES / 2",
     },
-    **{"map_expected_rms_m": "expected", "map_nees": "NEES / 2", "map_flipped_m2": "mirrored [m2]"},
     **{"error_95": "95 % [cm]", "added_95": "95 % of added [cm]"},
     **{"success_0_1m": "at 0.1 m", "success_0_2m": "at 0.2 m", "late_success_0_1m": "late", "spl": "SPL"},
 }

@@ -1,4 +1,4 @@
-"""What the hands expect of a command: help, version, hints at typing errors, completion, and a pipe that closes."""
+"""What the hands expect of a command: help, version, hints at typing errors, and a pipe that closes."""
 
 import os
 import subprocess
@@ -141,13 +141,6 @@ def test_every_setting_survives_its_spelling():
 def test_a_setting_without_a_letter_is_found():
     for name in SETTINGS:
         assert name in find_settings_like(name[:-2] + name[-1:], Scenario)
-
-
-def test_a_shell_completes_commands_options_and_settings(capsys):
-    _, script, _ = say(["--tyro-print-completion", "bash"], capsys)
-    assert [name for name in COMMANDS if name not in script] == []
-    assert [name for name in SETTINGS if as_option(name) not in script and name not in script] == []
-    assert say(["--tyro-print-completion", "tcsh"], capsys)[0] != 0
 
 
 def test_a_pipe_that_closes_is_quiet():

@@ -7,8 +7,7 @@ import pytest
 
 from deepgps.evaluation.error_field import ErrorField
 from deepgps.evaluation.evaluate import MISPLACED_M, measure_heading_spread, measure_misplaced
-from deepgps.evaluation.measures import measure_flipped, measure_flipped_patch, measure_visible, summarise_yaw
-from sim.geometry import FreeSpace
+from deepgps.evaluation.measures import measure_flipped, summarise_yaw
 
 SPACING_M = 0.08
 X, Y = (axis.ravel() * SPACING_M - 0.4 for axis in np.meshgrid(np.arange(21), np.arange(11)))
@@ -34,29 +33,6 @@ def test_gaps_in_the_grid_are_left_out_and_order_does_not_matter():
     assert measure_flipped(TRUTH[kept], TRUTH[kept], SPACING_M) == 0.0
     assert 0.1 < measure_flipped(TRUTH[kept], fold(0.25)[kept], SPACING_M) < 0.4
     assert measure_flipped(TRUTH[:1], TRUTH[:1], SPACING_M) == 0.0
-
-
-SCATTERED_PLACES = np.random.default_rng(1).uniform([0.0, 0.0], [4.0, 3.0], (8000, 2))
-
-
-def test_a_patch_that_is_turned_over_has_its_area_and_small_errors_turn_none():
-    for radius_m in (0.3, 0.5):
-        away = SCATTERED_PLACES - [2.0, 1.5]
-        inside = np.linalg.norm(away, axis=1) < radius_m
-        positions = np.where(inside[:, None], [2.0, 1.5] + away * [-1.0, 1.0], SCATTERED_PLACES)
-        found = measure_flipped_patch(SCATTERED_PLACES, positions)
-        assert found == pytest.approx(np.pi * radius_m**2, abs=2 * np.pi * radius_m * 0.1), "a cell wide at its edge"
-    noise = np.random.default_rng(2).normal(0.0, 0.01, SCATTERED_PLACES.shape)
-    assert measure_flipped_patch(SCATTERED_PLACES, SCATTERED_PLACES + noise) == 0.0
-    assert measure_flipped_patch(SCATTERED_PLACES[:1], SCATTERED_PLACES[:1]) == 0.0
-
-
-def test_the_largest_of_several_patches_counts_and_not_their_sum():
-    positions = SCATTERED_PLACES.copy()
-    for centre, radius_m in (([1.0, 1.5], 0.4), ([3.0, 1.5], 0.4)):
-        away = SCATTERED_PLACES - centre
-        positions = np.where(np.linalg.norm(away, axis=1)[:, None] < radius_m, centre + away * [1.0, -1.0], positions)
-    assert 0.3 < measure_flipped_patch(SCATTERED_PLACES, positions) < 0.8
 
 
 def test_the_spread_is_that_of_a_loop_over_positions_and_headings():
@@ -88,43 +64,6 @@ def test_what_is_refused_counts_in_the_rms_of_all_alone():
     assert figures["yaw_median_deg"] == pytest.approx(2.0)
     assert "yaw_rms_accepted_deg" not in summarise_yaw(make_field(None))
     assert "yaw_rms_accepted_deg" not in summarise_yaw(make_field(np.zeros((2, 4), bool)))
-
-
-CELL = 0.02
-
-
-def make_space(rectangles: list[tuple[float, float, float, float]]) -> FreeSpace:
-    """Floor of rectangles (left, right, bottom, top) [m] within a square of 6 m, a corner at the origin."""
-    middle = CELL * np.arange(-5, 306)
-    x, y = np.meshgrid(middle, middle)
-    free = np.zeros(x.shape, bool)
-    for left, right, bottom, top in rectangles:
-        free |= (x > left) & (x < right) & (y > bottom) & (y < top)
-    return FreeSpace(np.full(2, middle[0]), CELL, free, free, np.ones(2), 1.0)
-
-
-def test_from_everywhere_in_a_convex_room_all_of_it_is_reached():
-    points = np.random.default_rng(0).uniform((0.05, 0.05), (3.95, 2.95), (40, 2))
-    assert measure_visible(make_space([(0, 4, 0, 3)]), points) == pytest.approx(1.0, abs=0.02)
-
-
-def test_an_l_hides_what_lies_around_its_corner():
-    # Arms of 4 m x 1 m and 1 m x 4 m: at an arm's end the other arm is hidden but for a triangle past the inner corner.
-    space = make_space([(0, 4, 0, 1), (0, 1, 0, 4)])
-    share = measure_visible(space, np.array([(0.5, 0.5), (3.5, 0.5)]))
-    assert share[0] == pytest.approx(1.0, abs=0.02)
-    # Past (1, 1) the sight rises by 0.5 / 2.5 a metre, to 1.2 m at the wall: 4 m2 and a triangle of 1 m x 0.2 m.
-    assert share[1] == pytest.approx(4.1 / 7.0, abs=0.02)
-
-
-def test_what_is_reached_does_not_change_when_the_world_is_moved():
-    space = make_space([(0, 4, 0, 1), (0, 1, 0, 4)])
-    moved = FreeSpace(space.origin + (7.0, -3.0), CELL, space.free.T, space.reachable.T, np.ones(2), 1.0)
-    points = np.array([(0.5, 2.5), (1.5, 0.3), (3.9, 0.9)])
-    expected = measure_visible(space, points)
-    assert measure_visible(moved, points[:, ::-1] + (7.0, -3.0)) == pytest.approx(expected, abs=1e-9)
-    nowhere = np.array([(2.0, 2.0), (-9.0, 0.0)])
-    assert measure_visible(make_space([(0, 4, 0, 1)]), nowhere) == pytest.approx(0.0), "a place in a wall"
 
 
 def test_only_what_is_farther_off_than_the_limit_is_misplaced():

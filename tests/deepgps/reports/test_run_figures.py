@@ -15,11 +15,12 @@ from matplotlib.colors import to_hex
 from deepgps.evaluation.error_field import ErrorField, find_worst, read_all_headings, read_fields
 from deepgps.reports import run_figures
 from deepgps.reports.plots import REFUSED_COLOUR, SCALE_M, colours_of, smooth, to_png
-from deepgps.reports.run_figures import draw_error_field, draw_figures, make_figures
+from deepgps.reports.run_figures import draw_comparison, draw_figures, make_figures
 from sim.errors import InputError
 from sim.geometry import limits
-from tests.helpers.synthetic_run import METHODS, make_free_space, write_synthetic_run
+from tests.helpers.synthetic_run import make_free_space, write_synthetic_run
 
+NAMED = {"scenario": "room", "seed": 0, "samples": 60}
 POSITIONS = arrays(float, (5, 3, 2), elements=st.floats(-10, 10))
 
 
@@ -69,8 +70,7 @@ def test_limits_enclose_the_reachable_area() -> None:
 def test_every_figure_is_written_as_png(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(run_figures, "to_png", lambda _: b"\x89PNG")  # one is drawn below
     paths = draw_figures(run)
-    names = {f"error_field_{name}" for name in METHODS}
-    names |= {"error_fields", "error_cdf", "drive", "training"}
+    names = {"error_fields", "error_cdf", "drive", "training"}
     assert {path.stem for path in paths} == names
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in paths)
     assert all(path.parent == run / "figures" for path in paths)
@@ -81,9 +81,10 @@ def test_a_narrow_drive_along_y_has_a_figure_that_can_be_drawn(run: Path) -> Non
     reachable[:, 1] = True
     space = replace(make_free_space(), free=reachable, reachable=reachable, origin=np.zeros(2), cell_m=0.1)
     assert np.ptp(limits(space), axis=0)[1] > 100 * np.ptp(limits(space), axis=0)[0]
-    figure = draw_error_field(space, read_all_headings(run)["deepgps"], "deepgps")
+    figure = draw_comparison(space, {"deepgps": read_all_headings(run)["deepgps"]}, NAMED)
     assert figure.get_figheight() < 40.0
-    first, second = (to_png(draw_error_field(make_free_space(), read_all_headings(run)["knn"], "knn")) for _ in "ab")
+    field = {"knn": read_all_headings(run)["knn"]}
+    first, second = (to_png(draw_comparison(make_free_space(), field, NAMED)) for _ in "ab")
     assert first == second and b"Matplotlib" not in first, "equal figures give equal bytes"
 
 
@@ -94,7 +95,7 @@ def list_arrows(quiver: Artist) -> np.ndarray:
 
 def test_the_arrows_are_drawn_to_scale(run: Path) -> None:
     space, field = make_free_space(), read_all_headings(run)["knn"]
-    axes = draw_error_field(space, field, "knn").axes[0]
+    axes = draw_comparison(space, {"knn": field}, NAMED).axes[0]
     refused, arrows = (part for part in axes.collections if hasattr(part, "U"))
     assert list_arrows(refused).shape == (0, 4)
     field, drawn = find_worst(field), list_arrows(arrows)
@@ -107,22 +108,22 @@ def test_the_arrows_are_drawn_to_scale(run: Path) -> None:
 def test_refused_images_are_grey_and_the_others_have_colours(run: Path) -> None:
     field = read_all_headings(run)["knn"]
     accepted = np.random.default_rng(0).random(field.error.shape) < 0.5
-    figure = draw_error_field(make_free_space(), replace(field, accepted=accepted), "knn")
+    figure = draw_comparison(make_free_space(), {"knn": replace(field, accepted=accepted)}, NAMED)
     refused, arrows = (part for part in figure.axes[0].collections if hasattr(part, "U"))
     assert len(list_arrows(arrows)) == accepted.any(axis=1).sum()
     assert len(list_arrows(refused)) == (~accepted).any(axis=1).sum()
     assert {to_hex(colour) for colour in refused.get_facecolors()} == {REFUSED_COLOUR}
     assert "grey: images that the method refuses" in figure.legends[0].texts[0].get_text()
-    assert f"{100 * accepted.mean():.1f} % accepted" in figure.axes[0].get_title()
-    assert not draw_error_field(make_free_space(), field, "knn").legends
+    assert f"{100 * accepted.mean():.1f} % accepted" in figure.axes[0].get_title("right")
+    assert not draw_comparison(make_free_space(), {"knn": field}, NAMED).legends
 
 
 def test_a_foreign_backend_changes_no_figure(run: Path) -> None:
     field, space, before = read_all_headings(run)["knn"], make_free_space(), matplotlib.get_backend()
-    drawn = to_png(draw_error_field(space, field, "knn"))
+    drawn = to_png(draw_comparison(space, {"knn": field}, NAMED))
     matplotlib.use("svg")
     try:
-        assert to_png(draw_error_field(space, field, "knn")) == drawn
+        assert to_png(draw_comparison(space, {"knn": field}, NAMED)) == drawn
     finally:
         matplotlib.use(before)
 
