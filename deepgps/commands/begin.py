@@ -1,7 +1,5 @@
 """What the command does before its other imports, which take a second: this is the first import of its file."""
 
-import codecs
-import os
 import sys
 import time
 from multiprocessing import current_process
@@ -16,15 +14,7 @@ PROGRAM_NAMES = {"deepgps", "main.py"}
 """File names under which the command is started: the package's script, or ``python -m deepgps.commands.main``."""
 
 
-def use_utf8() -> None:
-    """Restart this process in Python's UTF-8 mode if its encoding of file names is ASCII, which cannot decode all."""
-    if codecs.lookup(sys.getfilesystemencoding()).name == "ascii" and os.environ.get("PYTHONUTF8") != "1":
-        os.environ["PYTHONUTF8"] = "1"
-        os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])
-
-
 if Path(sys.argv[0]).name in PROGRAM_NAMES:  # not in a program that only imports part of the command
     if not WORKER_PROCESS:
         leave_at_signals()
-        use_utf8()
     open_streams()

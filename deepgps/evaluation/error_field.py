@@ -10,7 +10,7 @@ from sim.errors import DamagedError, InputError
 from sim.files.checksums import damaged, read_arrays, write_arrays
 from sim.geometry import wrap
 
-OPTIONAL_ARRAYS = "yaw", "yaw_std", "expected", "novelty", "radius", "radius_95", "accepted", "covariance", "reason"
+OPTIONAL_ARRAYS = "yaw", "yaw_std", "novelty", "radius", "radius_95", "accepted", "covariance", "reason"
 """Arrays that some methods have, in the file as ``<array>/<method>``."""
 REPAIR_HINT = "deepgps run with the same scenario and --out measures the methods again"
 
@@ -26,8 +26,6 @@ class ErrorField:
     yaw: np.ndarray | None = None
     # Its standard deviation, as the method estimates it (C, H) [rad]; None like ``yaw``
     yaw_std: np.ndarray | None = None
-    # RMS error that the initial map's own covariance expects there (C,) [m]; None: the method knows none
-    expected: np.ndarray | None = None
     # Error to be expected of each image (C, H) [m]; None: the method does not say
     novelty: np.ndarray | None = None
     # Radius around the prediction that holds the true position with a probability of 68 % (C, H) [m]; None: the

@@ -17,7 +17,6 @@ from deepgps.data.segments import dead_reckon
 from deepgps.evaluation.deployment import adapt, check_predicted, find_causes, measure_deployment, open_deployment
 from deepgps.evaluation.error_field import ErrorField, find_rms, write_fields
 from deepgps.evaluation.map_errors import (
-    add_expected,
     find_true_camera,
     find_turned_parts,
     is_undecided,
@@ -101,9 +100,7 @@ def evaluate(run: Path, scenario: Scenario, progress: Report = ignore) -> dict[s
             # Whether more than 5 % of the map is undecided
             methods[method]["undecided"] = is_undecided(methods[method]["map"])
         if (stored := read_known_map(folder_of(run, method))) is not None:
-            placed = place_map(stored, find_true_camera(recording, truth))
-            fields[method] = add_expected(fields[method], placed)
-            methods[method]["map"] |= judge_map(placed)
+            methods[method]["map"] |= judge_map(place_map(stored, find_true_camera(recording, truth)))
         if deployment is not None:
             use_fields[method] = measure_deployment(maps.positioner, alignment, deployment, folder_of(run, method))
             causes = find_causes(maps.trained, recording, deployment)

@@ -1,7 +1,6 @@
 """Errors of a map by compass before any training, beside those that its covariance expects, and its mirrored parts."""
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,7 +11,7 @@ from scipy.spatial import KDTree
 
 from deepgps.data.segments import find_runs
 from deepgps.data.turns import compare_headings, find_in_place, take_images, turns_with_images
-from deepgps.evaluation.error_field import ErrorField, find_rms
+from deepgps.evaluation.error_field import find_rms
 from deepgps.initial_map.stored_map import StoredMap, read_map
 from sim.alignment import fit_alignment
 from sim.geometry import wrap
@@ -21,7 +20,6 @@ from sim.recording.turns import Turns, from_array
 from sim.settings import CameraMountSettings
 
 MAX_UNDECIDED_SHARE = 0.05  # A map is undecided if more than this share of the observations may lie elsewhere
-NEIGHBOURS = 8  # Training observations between which the expected error is interpolated
 ROUNDING_M = 1e-6
 
 
@@ -30,7 +28,6 @@ class PlacedMap(NamedTuple):
 
     position: np.ndarray  # Positions (n, 2) [m]
     covariance: np.ndarray  # Their covariances (n, 2, 2) [m^2], estimated from ``samples`` samples
-    expected: np.ndarray  # Their expected errors (n,) [m]
     truth: np.ndarray  # True positions of the camera (n, 2) [m]
     samples: int  # Number of samples
 
@@ -42,7 +39,6 @@ def place_map(stored: StoredMap, place: np.ndarray) -> PlacedMap:
     return PlacedMap(
         alignment.apply(stored.places[known]),
         alignment.rotation @ stored.covariance[known] @ alignment.rotation.T,
-        stored.expected[known],
         place[known],
         int(stored.samples),
     )
@@ -77,14 +73,6 @@ def measure_nees(covariance: np.ndarray, samples: int, error: np.ndarray) -> flo
     inverse = np.linalg.inv(covariance + ROUNDING_M**2 * np.eye(2))
     squared = np.einsum("na,nab,nb->n", error, inverse, error)
     return float(np.mean(squared)) / 2.0 * (samples - 3) / samples
-
-
-def add_expected(field: ErrorField, placed: PlacedMap) -> ErrorField:
-    """The error field with the RMS error that the map, with which the method began, expects at each test position."""
-    away, nearest = KDTree(placed.position).query(field.truth, min(NEIGHBOURS, len(placed.position)))
-    weight = 1.0 / np.maximum(away, ROUNDING_M) ** 2
-    variance = (weight * placed.expected[nearest] ** 2).sum(axis=1) / weight.sum(axis=1)
-    return replace(field, expected=np.sqrt(variance))
 
 
 def read_known_map(folder: Path) -> StoredMap | None:

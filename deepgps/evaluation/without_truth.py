@@ -1,4 +1,4 @@
-"""What can be said of trained methods without the truth: of lengths, turns, refusals and coverage.
+"""What can be said of trained methods without the truth: of lengths, turns and refusals.
 
 Nothing here is an error of a position. The last segments of a drive that were held out tell most: their lengths and
 turns are known to the wheels and the compass, and no method was trained on them.
@@ -19,7 +19,6 @@ from deepgps.diagnosis.findings import find_faults
 from deepgps.diagnosis.store import read_diagnosis
 from deepgps.evaluation.deployment import adapt, check_predicted, find_causes, open_deployment
 from deepgps.evaluation.error_field import find_rms
-from deepgps.evaluation.measures import expect_new, measure_new
 from deepgps.evaluation.segment_errors import describe_drive
 from deepgps.learning.trainer import find_device
 from deepgps.positioner.pose import Poses, find_poses
@@ -82,13 +81,10 @@ def _judge_method(
     check_predicted(folder, place)
     found: dict[str, Any] = {
         "segments": judge_segments(place, recording),  # Figures of the segments trained on
-        # Share of the cells of 0.25 m on a further segment that none before passed (Good-Turing)
-        "new_expected": expect_new(place[recording.reading[:, 1]], recording.reading[:, 0]),
     }
     if held_out is not None:
         adapted, lean = adapt(positioner, held_out)
         poses = find_poses(adapted, held_out.observation)
-        rows = held_out.reading
         # Figures of the segments held out
         found["held_out"] = {
             **judge_segments(poses.position, held_out, poses.accepted),
@@ -96,8 +92,6 @@ def _judge_method(
             **_judge_trust(poses),
             **lean,
             **find_causes(positioner, recording, held_out),
-            # The share of new cells, measured on what is held out
-            "new": measure_new(poses.position[rows[:, 1]], rows[:, 0], place),
         }
     return {**found, **read_training(folder)}
 

@@ -25,7 +25,6 @@ COLUMNS: tuple[Column, ...] = (
     ("turns [deg]", "turn_rms_deg", lambda value: f"{value:.2f}"),
     ("accepted [%]", "accepted", write_hundredths),
     ("radius 68 % [cm]", "radius_68_median_m", write_hundredths),
-    ("new places [%]", "new", write_hundredths),
 )
 """Heading, key of a method's figures on what is held out, and how a value is written."""
 
@@ -72,19 +71,12 @@ def describe(found: Mapping[str, Any]) -> list[str]:
         )
     else:
         summary += "; none are held out, so the table tells only how well the segments were learned"
-    sentences = [f"{summary}.", NO_ERRORS, _describe_new(found["methods"])]
+    sentences = [f"{summary}.", NO_ERRORS]
     causes = (one.get("held_out", {}).get("causes") for one in found["methods"].values())
     sentences += [describe_causes(one) for one in causes if one is not None][:1]
     if (wheels := found.get("wheels")) is not None:
         sentences.append("Wheels: " + (" ".join(wheels) or "nothing is wrong with them, as far as can be known."))
     return [*sentences, *filter(None, (_describe_method(name, one) for name, one in found["methods"].items()))]
-
-
-def _describe_new(methods: Mapping[str, Any]) -> str:
-    parts = ", ".join(f"{title_of(name)} {100 * one['new_expected']:.1f} %" for name, one in methods.items())
-    return (
-        f"Of the floor that a further segment would pass, about so much is new (Good-Turing, cells of 0.25 m): {parts}."
-    )
 
 
 def _describe_method(name: str, values: Mapping[str, Any]) -> str | None:

@@ -19,7 +19,6 @@ from sim.errors import InputError, shorten
 from sim.files import SCENARIOS
 
 MAX_RUNS = 10_000
-MAX_WRONG_RUNS = 500  # Number of invalid runs after which planning stops
 STRIDE = 100  # Runs planned between two progress reports
 
 
@@ -35,7 +34,7 @@ def plan_runs(study: Study, progress: Report = ignore) -> list[Plan]:
         raise InputError(f"study {study.name} has {count} runs; a study has at most {MAX_RUNS}")
     points = list(_points(study))
     total = len(points)
-    plan_one, plans, problems, wrong = _make_planner(study), [], {}, 0
+    plan_one, plans, problems = _make_planner(study), [], {}
     for done, (seed, varied) in enumerate(points):
         if done % STRIDE == 0:
             progress("plan", done, total)
@@ -43,13 +42,8 @@ def plan_runs(study: Study, progress: Report = ignore) -> list[Plan]:
             plans.append(plan_one(seed, varied))
         except InputError as error:
             problems[str(error)] = None
-            wrong += 1
-        if wrong >= MAX_WRONG_RUNS:
-            break
     if problems:
-        stopped = f"; only the first {done + 1} of {total} runs were looked at" if wrong >= MAX_WRONG_RUNS else ""
-        text = join_problems(list(problems)[:MAX_PROBLEMS], len(problems))
-        raise InputError(f"study {study.name}: {text}{stopped}")
+        raise InputError(f"study {study.name}: {join_problems(list(problems)[:MAX_PROBLEMS], len(problems))}")
     progress("plan", total, total)
     _refuse_twins(study, plans)
     _refuse_namesakes(study, plans)

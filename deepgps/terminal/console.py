@@ -11,17 +11,9 @@ from rich.console import Console
 from rich.text import Text
 
 LOGGERS = ("sim", "deepgps")
-MIN_COLUMNS = 40
-
-
-def _choose_width() -> int | None:
-    """80 if the variable COLUMNS leaves too few columns for any table; None: the terminal's own width."""
-    columns = os.environ.get("COLUMNS", "")
-    return 80 if columns.isdecimal() and int(columns) < MIN_COLUMNS else None
-
-
-console = Console(highlight=False, width=_choose_width())
-errors = Console(stderr=True, highlight=False, width=_choose_width())
+WIDTH = 80 if os.environ.get("COLUMNS") == "0" else None  # without a terminal in a container, no table would fit
+console = Console(highlight=False, width=WIDTH)
+errors = Console(stderr=True, highlight=False, width=WIDTH)
 """Shared with the progress bars, so that a line is printed above them."""
 
 

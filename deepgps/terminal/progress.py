@@ -48,10 +48,11 @@ class _Stage:
 
 
 class Lines:
-    """Reports each label's progress in lines: at its first and last step, at every tenth, and every minute, the first
-    after ``quiet_s`` [s] by a clock [s]."""
+    """Reports each label's progress in lines: at its first and last step, at every tenth, and when it has been silent
+    for 5 s and a tenth of its time, at most a minute; the first after ``quiet_s`` [s] by a clock [s].
 
-    PERIOD_S = 60.0
+    A label that begins again, as for each run of a study, has its time counted again.
+    """
 
     def __init__(
         self, say: Callable[[str], object], quiet_s: float = 0.0, clock: Callable[[], float] = time.monotonic
@@ -62,7 +63,9 @@ class Lines:
     def __call__(self, label: str, done: int, total: int, look: Look | None = None, /) -> None:
         """Report the steps done of a label, if a line is due."""
         now = self._clock()
-        stage = self._stages.setdefault(label, _Stage(done, now))
+        stage = self._stages.get(label)
+        if stage is None or done < (stage.said or 0):
+            stage = self._stages[label] = _Stage(done, now)
         if now - stage.begun >= self._quiet_s and self._is_due(stage, now, done, total):
             share = f" ({100 * done // total} %)" if total else ""
             self._say(f"{label}: {done:,} of {total:,}{share}{_write_speed(stage, now, done, total)}")
@@ -72,7 +75,8 @@ class Lines:
         if stage.said is None:
             return True
         tenths = 10 * done // max(total, 1) - 10 * stage.said // max(total, 1)
-        return done != stage.said and (done >= total or tenths > 0 or now - stage.at >= self.PERIOD_S)
+        silent = now - stage.at >= min(60.0, max(5.0, 0.1 * (now - stage.begun)))
+        return done != stage.said and (done >= total or tenths > 0 or silent)
 
 
 def _write_speed(stage: _Stage, now: float, done: int, total: int) -> str:

@@ -138,10 +138,7 @@ def test_output_that_nobody_reads_is_dropped(tmp_path: Path, words: list[str], r
     assert len(done.stderr.splitlines()) <= 1 and "Errno" not in done.stderr and "ignored" not in done.stderr
 
 
-ASCII = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
-
-
-@pytest.mark.parametrize("environment", [{"PYTHONIOENCODING": "ascii"}, ASCII, {"COLUMNS": "0", "TERM": "dumb"}])
+@pytest.mark.parametrize("environment", [{"PYTHONIOENCODING": "ascii"}, {"LC_ALL": "C"}, {"COLUMNS": "0"}])
 def test_any_terminal_can_print_any_name(tmp_path: Path, environment: dict[str, str]) -> None:
     done = deepgps("run", "é空.yaml", cwd=tmp_path, **environment)
     assert done.returncode == 2

@@ -1,15 +1,13 @@
 """Errors of an initial map beside its own covariance: laws of the measure, and theory that grows with the noise."""
 
-from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
 
 import numpy as np
 import pytest
 
-from deepgps.evaluation.error_field import ErrorField, read_all_headings, write_fields
+from deepgps.evaluation.error_field import ErrorField
 from deepgps.evaluation.map_errors import (
-    add_expected,
     find_true_camera,
     is_undecided,
     judge_map,
@@ -53,23 +51,6 @@ def test_a_map_is_measured_whatever_its_frame(maps):
     for name in ("rms_m", "median_m", "max_m", "nees"):
         assert one[name] == pytest.approx(other[name], rel=1e-6)
     assert 0.1 < one["nees"] < 3.0 and one["median_m"] <= one["rms_m"] <= one["max_m"]
-
-
-def test_theory_grows_with_the_noise(maps):
-    low, high = (add_expected(FIELD, place_map(*maps[gaps])).expected for gaps in (0.05, 0.2))
-    assert low is not None and high is not None and (high > 1.5 * low).all()
-
-
-def test_expected_errors_lie_between_those_of_the_observations_around_and_are_kept(maps, tmp_path: Path):
-    stored, place = maps[0.05]
-    field = add_expected(FIELD, place_map(stored, place))
-    known = stored.expected[stored.known]
-    assert field.expected is not None
-    assert (known.min() <= field.expected).all() and (field.expected <= known.max()).all()
-    write_fields(tmp_path / "error_field.npz", {"deepgps_compass": field, "posenet": FIELD})
-    again = read_all_headings(tmp_path)
-    np.testing.assert_array_equal(again["deepgps_compass"].expected, field.expected)
-    assert again["posenet"].expected is None
 
 
 def test_the_map_is_of_the_camera_and_not_of_the_axle():

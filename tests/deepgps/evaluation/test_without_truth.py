@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from deepgps.commands.main import main
-from deepgps.evaluation.measures import expect_new, measure_new
 from deepgps.evaluation.without_truth import judge_segments, read_judged
 from deepgps.reports.without_truth import describe, markdown, tabulate
 from deepgps.robot_io.logs.importing import import_log
@@ -44,23 +43,6 @@ def test_positions_beside_the_line_are_off_it(small_recording: Path) -> None:
     assert judge_segments(place, line)["straight_rms_m"] == pytest.approx(0.01, rel=0.1)
 
 
-def test_floor_that_every_segment_passes_promises_nothing_new_and_floor_passed_once_everything() -> None:
-    along = np.column_stack([np.arange(0.1, 3.0, 0.05), np.full(58, 0.1)])
-    twice, segment = np.concatenate([along, along]), np.repeat([0, 1], 58)
-    assert expect_new(twice, segment) == 0.0
-    assert expect_new(along, np.zeros(58, int)) == 1.0
-    assert measure_new(along, np.zeros(58, int), twice) == 0.0
-    assert measure_new(along + 5.0, np.zeros(58, int), twice) == 1.0
-
-
-def test_expected_and_measured_shares_agree_on_random_floors() -> None:
-    rng = np.random.default_rng(3)
-    places, segment = rng.uniform(0, 6, (2000, 2)), np.repeat(np.arange(400), 5)
-    known = segment < 300
-    expected = expect_new(places[known], segment[known])
-    assert measure_new(places[~known], segment[~known], places[known]) == pytest.approx(expected, abs=0.05)
-
-
 @pytest.mark.slow
 def test_a_run_on_a_log_without_poses_says_what_it_knows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = write_log(tmp_path / "log", make_notes("image/jpeg"), "mcap_lz4")
@@ -73,7 +55,7 @@ def test_a_run_on_a_log_without_poses_says_what_it_knows(tmp_path: Path, capsys:
     found = read_judged(run)
     assert found is not None and found["held_out"]["segments"] == 2
     values = found["methods"]["deepgps_compass"]["held_out"]
-    assert {"length_rms_m", "scale", "straight_rms_m", "turn_rms_deg", "new"} <= set(values)
+    assert {"length_rms_m", "scale", "straight_rms_m", "turn_rms_deg"} <= set(values)
     assert values["turns"] == 1 and (run / "run.rrd").stat().st_size > 10_000
     assert "| length, RMS [cm] |" in markdown(run).splitlines()[0]
     before = (run / "without_truth.json").read_bytes()
@@ -83,12 +65,12 @@ def test_a_run_on_a_log_without_poses_says_what_it_knows(tmp_path: Path, capsys:
 
 def test_without_held_out_segments_the_table_says_so() -> None:
     segments = {"length_rms_m": 0.012, "length_median_m": 0.01, "scale": 1.0, "straight_rms_m": None}
-    method = {"segments": segments, "new_expected": 0.25, "fold": {"found": True}}
+    method = {"segments": segments, "fold": {"found": True}}
     found = {"samples": 90, "segments": 8, "distance_driven_m": 9.6, "methods": {"deepgps": method}}
     _, (row,) = tabulate(found)
-    assert row[:6] == ("DeepGPS", "1.2", "-", "1.0", "-", "1.0000")
+    assert row == ("DeepGPS", "1.2", "1.0", "1.0000")
     said = " ".join(describe(found))
     assert "Wheels" not in said
     assert "Wheels: nothing is wrong" in " ".join(describe({**found, "wheels": []}))
     assert "Wheels: The left one sticks." in describe({**found, "wheels": ["The left one sticks."]})
-    assert "none are held out" in said and "DeepGPS 25.0 %" in said and "DeepGPS: its map looks folded." in said
+    assert "none are held out" in said and "DeepGPS: its map looks folded." in said

@@ -337,13 +337,13 @@ def test_many_runs_are_planned_as_one_by_one_and_progress_is_told(tmp_path):
     assert last.scenario == one
 
 
-def test_of_many_wrong_runs_the_first_problems_are_named_and_planning_ends(tmp_path):
-    axes = {"room.kind": [f"k{number}" for number in range(9000)]}
+def test_of_many_wrong_runs_the_first_problems_are_named(tmp_path):
+    axes = {"room.kind": [f"k{number}" for number in range(100)]}
     with pytest.raises(InputError) as caught:
         plan_runs(load_study(str(write_study(tmp_path, cases=[{}], axes=axes)), tiny=False))
     assert "room.kind 'k4': must be" in str(caught.value)
     assert "k5" not in str(caught.value)
-    assert str(caught.value).endswith("; and 495 more; only the first 500 of 9000 runs were looked at")
+    assert str(caught.value).endswith("; and 95 more")
 
 
 def test_a_folder_that_is_no_study_is_not_touched(tmp_path):

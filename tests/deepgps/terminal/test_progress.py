@@ -2,6 +2,7 @@
 
 import io
 import logging
+from itertools import pairwise
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -35,7 +36,7 @@ def run(steps: list[int], total: int, step_s: float = 0.1) -> list[str]:
 @given(total=st.integers(1, 5000), stride=st.integers(1, 700), first=st.integers(0, 50))
 def test_first_and_last_are_said_and_about_ten_between(total: int, stride: int, first: int) -> None:
     steps = [*range(min(first, total), total, stride), total]
-    said = run(steps, total)
+    said = run(steps, total, step_s=1e-4)
     assert said[0].startswith(f"train: {steps[0]:,} of {total:,}")
     assert said[-1].startswith(f"train: {total:,} of {total:,} (100 %)")
     assert len(said) <= 12
@@ -52,10 +53,16 @@ def test_rate_and_time_left_are_those_of_this_sitting() -> None:
     ]
 
 
-def test_long_work_is_heard_once_a_minute() -> None:
-    said = run(list(range(100)), 100_000, step_s=20.0)
-    assert len(said) == 1 + 99 // 3
-    assert said[1] == "train: 3 of 100,000 (0 %), 0.05/s, 555 h 32 min left"
+def test_long_work_is_heard_after_five_seconds_and_later_after_a_tenth_of_its_time() -> None:
+    said = run(list(range(2000)), 100_000, step_s=1.0)
+    assert said[1].startswith("train: 5 of 100,000 (0 %), 1/s, 27 h ") and said[2].startswith("train: 10 of 100,000")
+    at = [int(line.split()[1].replace(",", "")) for line in said]
+    assert all(5 <= later - one <= max(5, 0.1 * later + 1) and later - one <= 60 for one, later in pairwise(at))
+
+
+def test_a_label_that_begins_again_has_its_time_counted_again() -> None:
+    said = run([0, 5, 10, 0, 5, 10], 10, step_s=10.0)
+    assert said[:3] == said[3:] == ["train: 0 of 10 (0 %)", "train: 5 of 10 (50 %), 0.5/s, 10 s left", said[2]]
 
 
 def test_each_label_is_counted_alone() -> None:
