@@ -31,7 +31,7 @@ def run(
             link_recording(recording, place)
         if last != "collect":  # training may happen on another machine
             ask_for_device(scenario, place)
-        collect(scenario, place, progress, make_judge(scenario, place))
+        collect(scenario, place, progress, make_judge(scenario, place, progress))
         if last == "collect":
             return None
         train(scenario, place, progress)

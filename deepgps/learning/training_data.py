@@ -17,6 +17,7 @@ from deepgps.data.segments import Segments, read_segments
 from deepgps.learning.batches import Inputs
 from deepgps.learning.networks import make_network
 from deepgps.learning.trainer import choose_device, make_generator, use_threads
+from deepgps.terminal.progress import Report, ignore
 from sim.errors import DamagedError
 from sim.files.atomic import only_process, write_atomic
 from sim.files.checksums import check_sha256, read_json, sha256, write_json
@@ -51,7 +52,12 @@ class TrainingData:
 
 
 def prepare(
-    recording: Recording, settings: LearnSettings, seed: int, folder: Path, upright: Upright | None = None
+    recording: Recording,
+    settings: LearnSettings,
+    seed: int,
+    folder: Path,
+    upright: Upright | None = None,
+    progress: Report = ignore,
 ) -> TrainingData:
     """Read the segments, and compute the features or load those that another method has left in ``folder``.
 
@@ -64,6 +70,7 @@ def prepare(
     if recording.kind == "vector":
         projection, features = normalise(recording.observation)
     else:
+        progress("features", 0, 1)
         generator = make_generator(seed, "features")
         with use_threads(settings.train.threads):
             if leaning:
@@ -73,6 +80,7 @@ def prepare(
                 projection, features = cached_features(
                     folder / FEATURES, key, recording.observation, segments, settings.features, generator
                 )
+        progress("features", 1, 1)
     table = add_headings(projection, features, recording)
     if settings.network.architecture != "spectral":
         table = torch.from_numpy(recording.observation)  # stays on disk until it is drawn

@@ -43,10 +43,12 @@ def map_by_compass(
     recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report
 ) -> tuple[TrainingData, CompassMap, dict[str, Any]]:
     """The data set upright, its map by compass, and the record of both and of the wheels' diagnosis."""
+    progress("compass: turns", 0, 1)
     recording, record = take_diagnosed(recording, folder.parent)
     turns = measure_turns(recording)
+    progress("compass: turns", 1, 1)
     assert turns.upright is not None
-    data = prepare(recording, settings, seed, folder.parent, ignore_small(turns.upright))
+    data = prepare(recording, settings, seed, folder.parent, ignore_small(turns.upright), progress)
     data = replace(data, segments=expect_errors(recording, data.segments))
     progress("compass: initial map", 0, 1)
     rng = stream(seed, "compass map, registered")

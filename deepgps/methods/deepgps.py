@@ -82,7 +82,7 @@ def remove_leftovers(folder: Path) -> None:
 
 def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
     """Train DeepGPS on images and distances alone until a map shows no fold or no restart is left; the best is kept."""
-    data, attempts = prepare(recording, settings, seed, folder.parent), []
+    data, attempts = prepare(recording, settings, seed, folder.parent, progress=progress), []
     for number in range(settings.fold.restarts + 1):
         attempts.append(train_attempt(data, settings, seed, number, folder / f"attempt{number}", progress))
         if not attempts[-1].score.folded:

@@ -34,7 +34,7 @@ def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, 
 
 def fit_distances(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
     """Learn on the map from distances along segments alone; headings are the segments' directions on it."""
-    data = prepare(recording, settings, seed, folder.parent)
+    data = prepare(recording, settings, seed, folder.parent, progress=progress)
     if (kind := choose_start(settings, data.segments)) == "lifting":
         raise InputError("registration_distances: a map needs segments with more than two readings each")
     progress(f"{folder.name}: initial map", 0, 1)

@@ -22,7 +22,7 @@ from deepgps.config.methods import METHODS, folder_of
 from deepgps.config.scenario import Scenario
 from deepgps.runs.provenance import timed
 from deepgps.runs.run_folder import TRAINED_FILES
-from deepgps.terminal.progress import Look, Report
+from deepgps.terminal.progress import Look, Report, ignore
 from sim.errors import InputError, WorkError
 from sim.files.atomic import remove_files
 from sim.processes import start_process, usable_cores
@@ -62,7 +62,7 @@ def train(scenario: Scenario, folder: Path, progress: Report, processes: int | N
             fit_method(method, recording, scenario.learn, seed, place, progress)
 
 
-def make_judge(scenario: Scenario, folder: Path) -> Judge | None:
+def make_judge(scenario: Scenario, folder: Path, progress: Report = ignore) -> Judge | None:
     """What says whether registration places the images of a recording within ``drive.until.radius_m``, if that is set.
 
     What is learned for that stays in a run's ``folder`` if they are.
@@ -75,6 +75,7 @@ def make_judge(scenario: Scenario, folder: Path) -> Judge | None:
         from deepgps.methods.fit import fit_method
         from deepgps.positioner.stored_positioner import read_training
 
+        progress("judge the images", 0, 1)
         remove_files(place, TRAINING_FILES)  # what a killed process learned may be of other images
         with suppress(InputError):  # too few segments pass one another yet
             fit_method("registration", recording, scenario.learn, training_seed(scenario), place)

@@ -81,6 +81,7 @@ def make_recording(
         from sim.planar.drive import collect as collect_plane
 
         return collect_plane(scenario.sim, scenario.seed, folder, progress)
+    progress("drive", 0, scenario.drive.samples)  # the room is built before the robot moves
     from sim.recording.collect import collect as collect_room
 
     try:

@@ -1,5 +1,6 @@
 """Progress of long work: a callback with (label, steps done, total steps) and a view of the results so far."""
 
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -34,22 +35,33 @@ def show_progress(console: "Console", quiet_s: float = 0.0) -> Iterator[Report]:
         with _show_bars(console) as report:
             yield report
     else:
-        yield Lines(lambda line: console.print(line, markup=False, highlight=False, soft_wrap=True), quiet_s)
+        lines = Lines(lambda line: console.print(line, markup=False, highlight=False, soft_wrap=True), quiet_s)
+        over = threading.Event()
+        beat = threading.Thread(target=lines.beat_until, args=(over,), daemon=True)
+        beat.start()
+        try:
+            yield lines
+        finally:
+            over.set()
+            beat.join()
 
 
 @dataclass
 class _Stage:
-    """What was reported of a label: steps done at its start and in its last line, and when [s]; None: no line yet."""
+    """What was reported of a label."""
 
-    first: int
-    begun: float
-    said: int | None = None
-    at: float = 0.0
+    first: int  # Steps done at its first report
+    begun: float  # Time of that [s]
+    at: float  # Time of its last line, or of its first report [s]
+    said: int | None = None  # Steps done in its last line; None: it had none
+    done: int = 0  # Steps done at its last report
+    total: int = 0
+    heard: float = 0.0  # Time of that [s]
 
 
 class Lines:
-    """Reports each label's progress in lines: at its first and last step, at every tenth, and when it has been silent
-    for 5 s and a tenth of its time, at most a minute; the first after ``quiet_s`` [s] by a clock [s].
+    """Reports each label's progress in lines: at its first and last step, at every tenth, and when nothing was said for
+    5 s and a tenth of its time, at most a minute; the first after ``quiet_s`` [s] by a clock [s].
 
     A label that begins again, as for each run of a study, has its time counted again.
     """
@@ -59,33 +71,56 @@ class Lines:
     ) -> None:
         self._say, self._quiet_s, self._clock = say, quiet_s, clock
         self._stages: dict[str, _Stage] = {}
+        self._last = ""
 
     def __call__(self, label: str, done: int, total: int, look: Look | None = None, /) -> None:
         """Report the steps done of a label, if a line is due."""
         now = self._clock()
         stage = self._stages.get(label)
         if stage is None or done < (stage.said or 0):
-            stage = self._stages[label] = _Stage(done, now)
-        if now - stage.begun >= self._quiet_s and self._is_due(stage, now, done, total):
-            share = f" ({100 * done // total} %)" if total else ""
-            self._say(f"{label}: {done:,} of {total:,}{share}{_write_speed(stage, now, done, total)}")
+            stage = self._stages[label] = _Stage(done, now, at=now)
+        self._last, stage.done, stage.total, stage.heard = label, done, total, now
+        if now - stage.begun >= self._quiet_s and _is_due(stage, now):
+            self._say(f"{_write_stage(label, stage)}{_write_speed(stage, now)}")
             stage.said, stage.at = done, now
 
-    def _is_due(self, stage: _Stage, now: float, done: int, total: int) -> bool:
-        if stage.said is None:
-            return True
-        tenths = 10 * done // max(total, 1) - 10 * stage.said // max(total, 1)
-        silent = now - stage.at >= min(60.0, max(5.0, 0.1 * (now - stage.begun)))
-        return done != stage.said and (done >= total or tenths > 0 or silent)
+    def beat_until(self, over: threading.Event) -> None:
+        """Say that work goes on when there was no report for long, until it is over."""
+        while not over.wait(1.0):
+            self.beat()
+
+    def beat(self) -> None:
+        """Say that work goes on if nothing was said of the label that was reported last for long."""
+        now, stage = self._clock(), self._stages.get(self._last)
+        if stage and _is_silent(stage, now):
+            self._say(f"{_write_stage(self._last, stage)}, at work for {write_time(now - stage.heard)} since")
+            stage.at = now
 
 
-def _write_speed(stage: _Stage, now: float, done: int, total: int) -> str:
+def _is_due(stage: _Stage, now: float) -> bool:
+    if stage.said is None:
+        return True
+    tenths = 10 * stage.done // max(stage.total, 1) - 10 * stage.said // max(stage.total, 1)
+    return stage.done != stage.said and (stage.done >= stage.total or tenths > 0 or _is_silent(stage, now))
+
+
+def _is_silent(stage: _Stage, now: float) -> bool:
+    since = stage.begun if stage.done < stage.total else stage.heard  # work that has no label follows a finished one
+    return now - stage.at >= min(60.0, max(5.0, 0.1 * (now - since)))
+
+
+def _write_stage(label: str, stage: _Stage) -> str:
+    share = f" ({100 * stage.done // stage.total} %)" if stage.total else ""
+    return f"{label}: {stage.done:,} of {stage.total:,}{share}"
+
+
+def _write_speed(stage: _Stage, now: float) -> str:
     """The rate and the time left, or, at the end, the time taken."""
-    seconds = now - stage.begun
-    if seconds <= 0 or done <= stage.first:
+    seconds, left = now - stage.begun, stage.total - stage.done
+    if seconds <= 0 or stage.done <= stage.first:
         return ""
-    rate = (done - stage.first) / seconds
-    end = f"took {write_time(seconds)}" if done >= total else f"{write_time((total - done) / rate)} left"
+    rate = (stage.done - stage.first) / seconds
+    end = f"took {write_time(seconds)}" if left <= 0 else f"{write_time(left / rate)} left"
     return f", {rate:,.0f}/s, {end}" if rate >= 10 else f", {rate:.2g}/s, {end}"
 
 

@@ -163,6 +163,7 @@ def _collect_in_turn(drives: Mapping[str, CollectTask], progress: Tell) -> Failu
     failed, before = Failures(), 0
     for key, drive in drives.items():
         tell = partial(lambda done, size, before: progress(before + min(done, size)), size=drive.size, before=before)
+        progress(before)
         if reason := attempt(partial(drive, tell)):
             failed[key] = reason
         before += drive.size

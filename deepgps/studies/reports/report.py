@@ -49,6 +49,7 @@ def report_study(
         for done, (name, picture) in enumerate(report.pictures.items()):
             progress("figures", done, len(report.pictures))
             write_bytes(folder / "figures" / f"{name}.png", to_png(draw(picture, prepared, varied, folder)))
+        progress("figures", len(report.pictures), len(report.pictures))
     return text
 
 
@@ -58,6 +59,7 @@ def add_columns(rows: Sequence[Row], add: AddColumns, folder: Path, progress: Re
     for done, row in enumerate(rows):
         progress("columns of the report", done, len(rows))
         added.append({} if row["failure"] else add(folder / "runs" / row["run"], row, progress))
+    progress("columns of the report", len(rows), len(rows))
     names = dict.fromkeys(name for columns in added for name in columns)
     return [{**row, **dict.fromkeys(names), **columns} for row, columns in zip(rows, added, strict=True)]
 

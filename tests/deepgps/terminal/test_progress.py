@@ -65,6 +65,17 @@ def test_a_label_that_begins_again_has_its_time_counted_again() -> None:
     assert said[:3] == said[3:] == ["train: 0 of 10 (0 %)", "train: 5 of 10 (50 %), 0.5/s, 10 s left", said[2]]
 
 
+def test_work_without_reports_is_heard_too() -> None:
+    said, clock = [], Clock()
+    lines = Lines(said.append, clock=clock)
+    lines.beat()
+    lines("write", 0, 1)
+    for _ in range(12):
+        clock.now += 1.0
+        lines.beat()
+    assert said == ["write: 0 of 1 (0 %)", *(f"write: 0 of 1 (0 %), at work for {time} s since" for time in (5, 10))]
+
+
 def test_each_label_is_counted_alone() -> None:
     said = []
     lines = Lines(said.append, clock=Clock())
