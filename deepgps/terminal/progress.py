@@ -61,7 +61,7 @@ class _Stage:
 
 class Lines:
     """Reports each label's progress in lines: at its first and last step, at every tenth, and when nothing was said for
-    5 s and a tenth of its time, at most a minute; the first after ``quiet_s`` [s] by a clock [s].
+    4 s and 3 % of its time, at most a minute; the first after ``quiet_s`` [s] by a clock [s].
 
     A label that begins again, as for each run of a study, has its time counted again.
     """
@@ -106,7 +106,7 @@ def _is_due(stage: _Stage, now: float) -> bool:
 
 def _is_silent(stage: _Stage, now: float) -> bool:
     since = stage.begun if stage.done < stage.total else stage.heard  # work that has no label follows a finished one
-    return now - stage.at >= min(60.0, max(5.0, 0.1 * (now - since)))
+    return now - stage.at >= min(60.0, max(4.0, 0.03 * (now - since)))
 
 
 def _write_stage(label: str, stage: _Stage) -> str:

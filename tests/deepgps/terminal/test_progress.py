@@ -53,11 +53,11 @@ def test_rate_and_time_left_are_those_of_this_sitting() -> None:
     ]
 
 
-def test_long_work_is_heard_after_five_seconds_and_later_after_a_tenth_of_its_time() -> None:
+def test_long_work_is_heard_after_four_seconds_and_later_less_often() -> None:
     said = run(list(range(2000)), 100_000, step_s=1.0)
-    assert said[1].startswith("train: 5 of 100,000 (0 %), 1/s, 27 h ") and said[2].startswith("train: 10 of 100,000")
+    assert said[1].startswith("train: 4 of 100,000 (0 %), 1/s, 27 h ") and said[2].startswith("train: 8 of 100,000")
     at = [int(line.split()[1].replace(",", "")) for line in said]
-    assert all(5 <= later - one <= max(5, 0.1 * later + 1) and later - one <= 60 for one, later in pairwise(at))
+    assert all(4 <= later - one <= max(4, 0.03 * later + 1) and later - one <= 60 for one, later in pairwise(at))
 
 
 def test_a_label_that_begins_again_has_its_time_counted_again() -> None:
@@ -73,7 +73,7 @@ def test_work_without_reports_is_heard_too() -> None:
     for _ in range(12):
         clock.now += 1.0
         lines.beat()
-    assert said == ["write: 0 of 1 (0 %)", *(f"write: 0 of 1 (0 %), at work for {time} s since" for time in (5, 10))]
+    assert said == ["write: 0 of 1 (0 %)", *(f"write: 0 of 1 (0 %), at work for {time} s since" for time in (4, 8, 12))]
 
 
 def test_each_label_is_counted_alone() -> None:
