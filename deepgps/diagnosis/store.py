@@ -17,7 +17,6 @@ from deepgps.diagnosis.diagnosis import (
 )
 from deepgps.diagnosis.findings import as_stored
 from deepgps.diagnosis.gaps import mend_stuck
-from deepgps.diagnosis.turning import Sight
 from deepgps.runs.owned_folder import hold
 from deepgps.runs.run_folder import RUN, drop_viewed, is_study
 from deepgps.terminal.progress import Report
@@ -28,7 +27,7 @@ from sim.recording.format import Recording, open_recording
 FILE = "diagnosis.json"
 
 
-def diagnose_once(recording: Recording, folder: Path, sight: Sight | None = None) -> Diagnosis | None:
+def diagnose_once(recording: Recording, folder: Path) -> Diagnosis | None:
     """The diagnosis of a run's recording, as stored in its folder or made and stored.
 
     None without turns, with too few readings to tell anything, or where these are not the wheels' own.
@@ -37,7 +36,7 @@ def diagnose_once(recording: Recording, folder: Path, sight: Sight | None = None
         return None
     if (stored := read_diagnosis(folder, recording)) is not None:
         return stored
-    diagnosis = diagnose(recording, sight)
+    diagnosis = diagnose(recording)
     write_diagnosis(folder / FILE, diagnosis, recording)
     return diagnosis
 

@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deepgps.data.turns import find_next, take_images, trust_wheels, turns_with_images
+from deepgps.data.turns import take_images, trust_wheels, turns_with_images
 from deepgps.diagnosis.gaps import Gaps
 from sim.errors import InputError
 from sim.geometry import wrap
 from sim.recording.format import Recording
-from sim.recording.turns import KINDS, NO_IMAGE, from_array
+from sim.recording.turns import KINDS
 from sim.sensors.camera.lens import Lens, make_lens
 from sim.sensors.visual_compass import Hypotheses, disambiguate, find_turns
 from sim.settings import SimSettings

@@ -20,7 +20,7 @@ from sim.rooms.flat import MARK as ROOM_MARK
 from sim.rooms.free_space import box_of
 from sim.sensors.camera import gl
 from sim.sensors.camera.fisheye import Fisheye
-from sim.settings import CameraSettings, DeploymentSettings, RoomKind, RoomSettings, RoomShape, SimSettings
+from sim.settings import CameraSettings, RoomKind, RoomSettings, RoomShape, SimSettings
 from sim.settings.world import MIN_ROOM_SIDE_M
 
 MARK = ("Software", "deepgps")  # Mark of origin in the picture's metadata, so that no other picture is overwritten

@@ -2,7 +2,6 @@
 
 import json
 import math
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,6 @@ from scipy.spatial import KDTree
 from deepgps.config.methods import folder_of
 from deepgps.diagnosis.store import FILE as DIAGNOSIS
 from deepgps.diagnosis.store import diagnose_once
-from deepgps.diagnosis.turning import Sight
 from deepgps.evaluation.error_field import find_rms, read_all_headings, read_fields
 from deepgps.evaluation.measures import SEEN_RADIUS_M
 from deepgps.evaluation.navigate_run import Order, navigate_run
@@ -82,17 +80,9 @@ def add_labels(run: Path, row: Row, progress: Report = ignore) -> Row:
 def add_diagnosis(run: Path, row: Row, progress: Report = ignore) -> Row:
     """Columns for what is wrong with the wheels of a run's recording, and what is found."""
     recording = open_recording(run / "recording")
-    files = recording.manifest.sha256
-    images = " ".join(files[name] for name in sorted(files) if name.startswith("observations/"))
-    if diagnose_once(recording, run, share_sight(images)) is None:
+    if diagnose_once(recording, run) is None:
         raise InputError(f"{run}: the report diagnose needs readings of the wheels and images after turns")
     return describe(open_run(run), read_json(run / DIAGNOSIS))
-
-
-@lru_cache(maxsize=2)
-def share_sight(images: str) -> Sight:
-    """What the camera sees of turns, which recordings of the same images share, by their checksums."""
-    return Sight()
 
 
 def add_explored(run: Path, row: Row, progress: Report = ignore) -> Row:
