@@ -14,8 +14,9 @@ from scipy.spatial import KDTree
 
 from deepgps.config.methods import title_of
 from deepgps.evaluation.error_field import ErrorField, WorstField, split_by_acceptance
+from deepgps.positioner import registration
 from deepgps.reports.plots import REFUSED_COLOUR, colours_of
-from deepgps.viewer.scene import LAYER_M, lift
+from deepgps.viewer.scene import LAYER_M, draw_ellipses, lift
 from deepgps.viewer.stream import Rows, put
 
 ACCEPTED, REFUSED = "accepted", "refused"  # Entities of the worst headings that are accepted, and of those refused
@@ -23,6 +24,9 @@ DENSE_SPACING_M = 0.05  # test positions with smaller spacing get thinner arrows
 HEIGHT_M = 3 * LAYER_M
 HEAD_M = 0.05
 HEAD_SHARE = 0.35  # Length of an arrow's head, at most ``HEAD_M``, as a share of the arrow's
+ELLIPSE_SCALE, ELLIPSE_SPACING_M, MAX_ELLIPSES, MAX_RADIUS_M = 5, 0.2, 1_000, 0.05
+"""How many times larger ellipses are drawn, least distance between two [m], most, and the largest radius drawn [m]."""
+ELLIPSE_COLOUR = (255, 255, 255)
 TRUST, RADIUS_TICKS_M = "world/trust", (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
 REFUSED_RGBA = np.array([*(round(255 * one) for one in to_rgb(REFUSED_COLOUR)), 255], np.uint8)
 NO_PLACES = ErrorField(np.zeros((0, 2)), np.zeros(1), np.zeros((0, 1, 2)))
@@ -76,7 +80,26 @@ def log_trust(stream: rr.RecordingStream, name: str, field: ErrorField) -> None:
     middle = lift(field.truth, 2 * LAYER_M)
     squares = rr.Boxes3D(centers=middle, half_sizes=[(half, half, 0.0005)], colors=colours, fill_mode="solid")
     words = [f"68 % within {100 * one:.1f} cm" if one else "refused at all headings" for one in radius]
-    put(stream, f"{TRUST}/{name}", squares, said={"radius": words})
+    put(stream, f"{TRUST}/{name}/radius", squares, said={"radius": words})
+    if field.covariance is not None and field.radius_95 is not None:
+        _log_ellipses(stream, f"{TRUST}/{name}/ellipses", field, field.covariance, field.radius_95)
+
+
+def _log_ellipses(
+    stream: rr.RecordingStream, path: str, field: ErrorField, covariance: np.ndarray, radius_95: np.ndarray
+) -> None:
+    """Log an ellipse of 95 %, enlarged, at some of the accepted predictions, with the shape of their covariance.
+
+    The size is that of the radius, which is measured on images left out.
+    """
+    worst = split_by_acceptance(field)[0]
+    some = np.unique(registration.thin(worst.predicted[None], MAX_ELLIPSES, ELLIPSE_SPACING_M))
+    some = some[radius_95[tuple(np.asarray(worst.row)[some].T)] <= MAX_RADIUS_M]  # larger ones hide all else
+    rows = tuple(np.asarray(worst.row)[some].T)
+    shape, radius = covariance[rows].astype(float), ELLIPSE_SCALE * radius_95[rows]
+    spread = shape * (2.0 * radius**2 / np.trace(shape, axis1=1, axis2=2))[:, None, None]
+    strips = draw_ellipses(worst.predicted[some], spread, HEIGHT_M)
+    put(stream, path, rr.LineStrips3D(strips, radii=0.004, colors=[ELLIPSE_COLOUR]))
 
 
 def draw_arrows(origins: np.ndarray, tips: np.ndarray, z: float = HEIGHT_M) -> np.ndarray:

@@ -9,7 +9,7 @@ import rerun.blueprint as rrb
 
 from deepgps.config.methods import title_of
 from deepgps.viewer.drive import DIAGNOSIS
-from deepgps.viewer.error_field import TRUST
+from deepgps.viewer.error_field import ELLIPSE_SCALE, TRUST
 from deepgps.viewer.making import MAP_ENTITY, TEXT_ENTITY
 from deepgps.viewer.pictures import POLAR_PICTURES
 from deepgps.viewer.scene import BACKDROP, LAYER_M, STILL_BEHAVIOUR
@@ -146,8 +146,8 @@ def places(floor: Floor, pictures: bool) -> Part:
 
 
 def trust(floor: Floor, method: str) -> Part:
-    """The radius that a method expects at each place."""
-    title = f"{title_of(method)}: the position is within this radius with a probability of 68 % (grey: refused)"
+    """The radius that a method expects at each place, with ellipses."""
+    title = f"{title_of(method)}: radius of 68 % (grey: refused), and ellipses of 95 %, {ELLIPSE_SCALE} times as large"
     shown = ["floor_plan", "radius_scale/**", f"{TRUST.removeprefix('world/')}/**"]
     return rrb.Horizontal(room_view(title, shown, aim_eye(floor)), name="Trust")
 
