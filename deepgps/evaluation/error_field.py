@@ -58,12 +58,6 @@ class ErrorField:
         """Whether each image is accepted (C, H) bool; a method that refuses none accepts all."""
         return np.ones(self.predicted.shape[:2], bool) if self.accepted is None else self.accepted
 
-    def take(self, chosen: slice) -> "ErrorField":
-        """The field at some of its positions."""
-        heading = self.heading if self.heading.ndim == 1 else self.heading[chosen]
-        parts = {name: part[chosen] for name in OPTIONAL_ARRAYS if (part := getattr(self, name)) is not None}
-        return replace(self, truth=self.truth[chosen], heading=heading, predicted=self.predicted[chosen], **parts)
-
 
 def find_rms(values: np.ndarray) -> float:
     """Root of the mean square of values (...)."""

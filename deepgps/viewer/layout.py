@@ -154,7 +154,7 @@ def trust(floor: Floor, method: str) -> Part:
 
 def deployment(floor: Floor, method: str, ways: Mapping[str, str], pictures: bool) -> Part:
     """The deployment drive in the colours of a method's errors along it, for each way of finding positions."""
-    eye, around = aim_eye(floor, aspect=2.9 / len(ways)), ["floor_plan", "outline", "scale/**"]
+    eye, around = aim_eye(floor, aspect=2.9 / len(ways)), ["floor_plan", "scale/**"]
     views = [
         room_view(f"{title_of(method)}: {title}", [*around, f"{DEPLOYMENT}/{name}/**"], eye)
         for name, title in ways.items()
@@ -203,7 +203,7 @@ def making(floor: Floor) -> Part:
     """The initial map in the making, and in words."""
     title = "The initial map: choose the timeline `making` to see how it is made"
     plan = room_view(
-        title, ["outline", f"{MAP_ENTITY.removeprefix('world/')}/**"], aim_eye(floor, before=0.0, aspect=1.2)
+        title, ["floor_plan", f"{MAP_ENTITY.removeprefix('world/')}/**"], aim_eye(floor, before=0.0, aspect=1.2)
     )
     return rrb.Horizontal(plan, text_view("This stage", TEXT_ENTITY), column_shares=[5, 2], name="Initial map")
 
@@ -236,9 +236,9 @@ def wheels_view() -> rrb.TextDocumentView:
 def training(floors: Mapping[str, Floor], known: bool, *beside: rrb.View, began_s: float | None = None) -> Part:
     """How methods' maps of the training images unfold, over so much floor, their errors if known, and the losses."""
     start = None if began_s is None else rr.TimeRangeBoundary.absolute(seconds=began_s)
-    shown = [("map of the training images", "training", "", ["outline"] if known else [])]
+    shown = [("map of the training images", "training", "", ["floor_plan"] if known else [])]
     if known:
-        shown.append(("errors on the training images", "training_error", "/**", ["outline", "scale/**"]))
+        shown.append(("errors on the training images", "training_error", "/**", ["floor_plan", "scale/**"]))
     rows: list[list[rrb.View]] = [
         [
             room_view(f"{title_of(name)}: {title}", [*around, f"{entity}/{name}{below}"], eye)

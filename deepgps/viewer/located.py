@@ -54,7 +54,7 @@ class LocatedView:
             log_room(stream, recording / "scene.glb", space)
         room = room_view(
             "Robot, with the circle of 95 %",
-            ["room", "floor_plan", "outline", "located/**"],
+            ["room", "floor_plan", "located/**"],
             aim_eye(space and limits(space), tilt=0.45, reach=1.3, before=-0.4),
             line_grid=space is None,
         )

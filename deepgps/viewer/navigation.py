@@ -68,7 +68,7 @@ def write_drives(run: Path, driven: Driven) -> Path:
             log_round(stream, entity, np.asarray(pictures), camera, at(seen_s))
 
     said = "Robot, its own position with 3 deviations (red), route (yellow), goal (green)"
-    shown_paths = ["room", "floor_plan", "outline", "drive/**", "navigate/**"]
+    shown_paths = ["room", "floor_plan", "drive/**", "navigate/**"]
     room = room_view(said, shown_paths, aim_eye(limits(space), tilt=0.45, reach=1.2, before=-0.3))
     beside = rrb.Vertical(
         rrb.Spatial2DView(name="Image", origin="image"),

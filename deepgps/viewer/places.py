@@ -158,6 +158,7 @@ def _log(
     fields: Mapping[str, ErrorField],
     at: Rows,
 ) -> None:
+    """Log places with the errors of all methods."""
     tree, pose = KDTree(truth.pose[:, :2]), np.array([place.pose for place in places])
     predicted = np.array([place.field.predicted[place.at] for place in places])
     closest, around = tree.query(pose[:, :2])[1], find_nearest(tree, predicted, NEIGHBOURS)[1]

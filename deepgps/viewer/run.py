@@ -38,7 +38,7 @@ from sim.geometry import FreeSpace, limits
 from sim.recording.format import has_truth, is_whole, open_recording, open_truth
 
 PLAYED_S = 100.0  # In which the viewer plays a drive
-COLUMNS = (
+COLUMNS_NOTE = (
     "RMS / side: the RMS error as a share of the room's shorter side. yaw: the RMS error of the heading that a method "
     "finds."
 )
@@ -149,7 +149,7 @@ def log_results(
         markdown_table(metrics, OVERVIEW),
         "",
         *(f"- **{sentence}**" for sentence in judge_run(metrics)),
-        *(f"- {sentence}" for sentence in (COLUMNS, *describe(metrics))),
+        *(f"- {sentence}" for sentence in (COLUMNS_NOTE, *describe(metrics))),
         "",
         "Each arrow points from a true test position to the predicted position, for the worst heading there that the "
         "method accepts; grey ones are the worst that it refuses. All methods share one colour scale.",
@@ -157,7 +157,7 @@ def log_results(
         *(f"- {sentence}" for sentence in notes),
     ]
     put_text(stream, layout.FIGURES, "\n".join(lines))
-    put_text(stream, layout.REPORT, f"{markdown_report(metrics)}\n{COLUMNS}")
+    put_text(stream, layout.REPORT, f"{markdown_report(metrics)}\n{COLUMNS_NOTE}")
 
 
 def hash_run(run: Path) -> str:

@@ -6,7 +6,6 @@ In a study the plan changes: a function with the argument ``at``, places on time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import cv2
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
@@ -25,7 +24,7 @@ MAX_METRES = 12  # Numbers along a side of the floor
 LABEL_COLOUR = (128, 128, 128)  # Legible on labels of the dark and of the light theme
 WALL_SHARE = 0.2  # Share of their height with which walls between rooms are drawn
 STILL_BEHAVIOUR = rrb.EntityBehavior(interactive=False)
-BACKDROP = ("room", "floor_plan", "outline", "metres", "scale")
+BACKDROP = ("room", "floor_plan", "metres", "scale")
 """Entities that cannot tell anything and so do not catch the pointer."""
 
 
@@ -38,7 +37,7 @@ def log_room(stream: rr.RecordingStream, scene: Path, space: FreeSpace, root: st
 
 
 def log_floor(stream: rr.RecordingStream, space: FreeSpace, at: Rows = (), root: str = "world") -> None:
-    """Log the floor plan, the outline of what the robot can reach, and numbers of metres along two sides."""
+    """Log the floor plan, and numbers of metres along two sides."""
     plan, corner = draw_floor_plan(space)
     put(
         stream,
@@ -53,8 +52,6 @@ def log_floor(stream: rr.RecordingStream, space: FreeSpace, at: Rows = (), root:
         ),
         at,
     )
-    strips = [lift(line, 0.0) for line in find_outline(space)]
-    put(stream, f"{root}/outline", rr.LineStrips3D(strips, radii=0.008, colors=[120, 130, 150]), at)
     (west, south), (east, north) = limits(space)
     step = max(1, round(max(east - west, north - south) / MAX_METRES))
     x, y = (np.arange(np.ceil(low / step) * step, high, step) for low, high in ((west, east), (south, north)))
@@ -156,12 +153,6 @@ def draw_floor_plan(space: FreeSpace) -> tuple[np.ndarray, np.ndarray]:
     low, high = np.maximum(np.rint(cells[0]).astype(int), 0), np.rint(cells[1]).astype(int) + 1
     picture = (np.array(palette) * 255).astype(np.uint8)[kind[low[1] : high[1], low[0] : high[0]]]
     return np.ascontiguousarray(picture), space.origin + (low - 0.5) * space.cell_m
-
-
-def find_outline(space: FreeSpace) -> list[np.ndarray]:
-    """Closed lines (n, 2) [m] around the reachable area and around the obstacles in it."""
-    contours, _ = cv2.findContours(space.reachable.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
-    return [space.origin + np.vstack([line, line[:1]])[:, 0] * space.cell_m for line in contours]
 
 
 def colours_of_places(place: np.ndarray) -> np.ndarray:

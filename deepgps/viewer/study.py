@@ -142,10 +142,7 @@ def _make_blueprint(timeline: str, methods: Sequence[str], figures: Sequence[str
     """The viewer's layout, which opens with a slider and the error fields of all methods side by side."""
     columns = min(len(methods), 2)
     eye = aim_eye(floor, aspect=2.4 / columns)
-    fields = [
-        room_view(title_of(name), ["floor_plan", "outline", "scale/**", f"error_field/{name}/**"], eye)
-        for name in methods
-    ]
+    fields = [room_view(title_of(name), ["floor_plan", "scale/**", f"error_field/{name}/**"], eye) for name in methods]
     pictures = [rrb.Spatial2DView(name=name.replace("_", " "), origin=f"report/figures/{name}") for name in figures]
     here, guide = text_view("Here", "report/here"), text_view("Sliders", "report/sliders")
     texts = rrb.Vertical(here, guide)

@@ -1,5 +1,5 @@
-"""Pictures of rooms for people: round ones, larger than those that a robot learns from, and a contact sheet, which has
-for each room a corner view, a top view with the reachable floor tinted, the fisheye and the polar image."""
+"""Pictures of rooms for people: a contact sheet, which has for each room a corner view, a top view with the reachable
+floor tinted, the fisheye and the polar image."""
 
 from collections.abc import Callable, Sequence
 from io import BytesIO

@@ -70,7 +70,7 @@ class Run:
 
     def after(self, command: str) -> Print:
         """What a run holds once this command has ended."""
-        later = () if command == "run" else ("figures/", "pictures.npz")
+        later = () if command == "run" else ("figures/",)
         return {name: value for name, value in self.clean.items() if not name.startswith(later)}
 
 

@@ -34,7 +34,7 @@ def deepgps(*words: str, cwd: Path, **environment: str) -> CompletedProcess[str]
     """Run ``deepgps`` with these words in a folder, in a process of its own."""
     command = [sys.executable, "-m", "deepgps.commands.main", *words]
     return subprocess.run(
-        command, cwd=cwd, env={**os.environ, **environment}, capture_output=True, text=True, check=False, timeout=300
+        command, cwd=cwd, env={**os.environ, **environment}, capture_output=True, text=True, check=False, timeout=1500
     )
 
 
@@ -104,6 +104,6 @@ def assert_one_clear_line(done: CompletedProcess[str], code: int, message: str, 
 
 
 def arrays(run: Path) -> dict[str, bytes]:
-    """Every array of a run, by its path, but for the pictures for people, which not every command draws."""
+    """Every array of a run, by its path."""
     paths = (path for path in sorted(run.rglob("*")) if path.suffix in {".npy", ".npz", ".safetensors"})
-    return {path.relative_to(run).as_posix(): path.read_bytes() for path in paths if path.name != "pictures.npz"}
+    return {path.relative_to(run).as_posix(): path.read_bytes() for path in paths}

@@ -9,7 +9,7 @@ import trimesh
 
 from deepgps.evaluation.segment_errors import measure_distances
 from deepgps.viewer.pictures import make_warp, warp_round
-from deepgps.viewer.scene import WALL_SHARE, draw_ellipses, draw_floor_plan, find_outline, open_room
+from deepgps.viewer.scene import WALL_SHARE, draw_ellipses, draw_floor_plan, open_room
 from sim.errors import InputError
 from sim.recording.format import open_recording, open_truth
 from sim.sensors.camera.lens import make_lens, project_polar, project_round
@@ -92,19 +92,6 @@ def test_the_floor_plan_lies_on_the_cells() -> None:
     floor = picture[cut]
     assert (floor == floor[0]).all()
     assert (picture[~cut] != floor[0]).any(axis=1).all()
-
-
-def test_the_outline_is_closed_and_runs_along_the_reachable_area() -> None:
-    space = make_free_space()
-    lines = find_outline(space)
-    assert len(lines) >= 3  # the walls, and the table and the desk, which stand free
-    for line in lines:
-        np.testing.assert_array_equal(line[0], line[-1])
-    around = np.concatenate(lines)
-    nearby = [
-        space.is_reachable(around + offset) for offset in np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]]) * 0.02
-    ]
-    assert np.any(nearby, axis=0).all()
 
 
 def test_distances_are_those_counted_segment_by_segment(run: Path) -> None:

@@ -12,12 +12,12 @@ import pytest
 import rerun as rr
 from rerun.chunk import RrdReader
 
-from deepgps.reports import plots
 from deepgps.studies.plan import Plan, plan_runs
 from deepgps.studies.study import load_study
 from deepgps.studies.table import gather, write_table
 from deepgps.viewer import study as viewer
 from deepgps.viewer.error_field import ACCEPTED, REFUSED
+from deepgps.viewer.scene import draw_floor_plan
 from deepgps.viewer.show import view
 from deepgps.viewer.sliders import find_sliders
 from deepgps.viewer.study import STUDY as STUDY_RRD
@@ -115,11 +115,9 @@ def test_each_place_of_each_slider_shows_the_error_field_of_its_run(study, metho
 
 
 def test_every_room_is_drawn_at_its_own_size(study):
-    shown = {key[:2]: key[2] for key in cells(study[0] / STUDY_RRD, "/world/outline", "LineStrips3D:strips")}
+    corners = {key[:2]: key[2] for key in cells(study[0] / STUDY_RRD, "/world/floor_plan", "GridMap:translation")}
     for index, room in enumerate(ROOMS):
-        points = np.concatenate([np.array(strip)[:, :2] for strip in shown["case", index + 1]])
-        low, high = plots.limits(make_room(room), margin_m=0.0)
-        np.testing.assert_allclose([points.min(axis=0), points.max(axis=0)], [low, high], atol=1e-5)
+        np.testing.assert_allclose(corners["case", index + 1][0][:2], draw_floor_plan(make_room(room))[1], atol=1e-6)
 
 
 def test_the_text_says_where_a_slider_stands_and_what_the_others_are(study):
