@@ -119,25 +119,15 @@ def cached_features(
 
 def _read_features(folder: Path, key: str) -> dict[str, torch.Tensor] | None:
     """Features stored in a folder with this key; None if the key differs or they are damaged."""
-    if not has_features(folder):
+    if not ((folder / KEY).is_file() and (folder / TABLE).is_file()):  # the key is written last
         return None
     try:
-        return load_file(folder / TABLE) if check_features(folder) == key else None
+        stored = read_json(folder / KEY)
+        check_sha256(folder / TABLE, str(stored.get("sha256")))
+        return load_file(folder / TABLE) if stored.get("key") == key else None
     except (DamagedError, SafetensorError) as error:
         log.warning("%s; the features are made again", error)
         return None
-
-
-def check_features(folder: Path) -> str:
-    """Compare the features in a folder with their checksum and return their key; raises DamagedError."""
-    stored = read_json(folder / KEY)
-    check_sha256(folder / TABLE, str(stored.get("sha256")))
-    return str(stored.get("key"))
-
-
-def has_features(folder: Path) -> bool:
-    """Whether a folder holds complete features: the key is written last."""
-    return (folder / KEY).is_file() and (folder / TABLE).is_file()
 
 
 def digest_features(recording: Recording, settings: LearnSettings, seed: int) -> str:

@@ -86,7 +86,7 @@ def find_headings(recording: Recording, positions: np.ndarray) -> np.ndarray:
 
     They are the directions of straight lines through the positions of each segment, along which images are evenly
     spaced. Observations that belong to two segments are left out, unless the first of these has no others: it was seen
-    at its end, before the robot turned. No tick is read: methods that learn from none share their weights.
+    at its end, before the robot turned. No tick is read.
     """
     uses, heading = np.bincount(recording.reading[:, 1], minlength=len(positions)), np.full(len(positions), np.nan)
     for run in find_runs(recording):

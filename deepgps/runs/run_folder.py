@@ -43,8 +43,8 @@ def _make_pattern(known: tuple[str, ...]) -> re.Pattern[str]:
         rf"|(run|recording|pairs/[0-9a-f]{{12}})\.rrd(\.sha256)?|figures/(error_fields|error_cdf|drive|training)\.png"
         rf"|tracking/({methods})(-[0-9a-f]{{8}})?\.(npz|json|png)"
         rf"|navigate/(to/|changed/)?(metrics\.json|({methods}|dead_reckoning|truth)\.(npz|rrd)|parts/({methods}|dead_reckoning|truth)-\d{{4,}}\.npz)"
-        # a study's run has a link in place of a recording
-        rf"|recording|recording/({RECORDING.pattern})|recording\.collecting/({WORK_PATH.pattern})"
+        # a study's run has links in place of a recording and of features
+        rf"|features|recording|recording/({RECORDING.pattern})|recording\.collecting/({WORK_PATH.pattern})"
     )
 
 

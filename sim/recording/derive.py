@@ -65,7 +65,6 @@ TRAINING_ENTRIES = (
     "gl_renderer",
 )
 """Entries of the manifest that tell of the training drive."""
-UNLEARNED_PREFIXES = (*ENCODER_FILES, *TEST_PREFIXES)  # Of files that do not affect a training without ticks
 IMAGE_COUNTS = ("images_drawn_twice", "images_that_differed")
 DEPLOYMENT_SAMPLES = "deployment.drive_samples"
 BATCH_SIZE = 256  # Images that are processed at a time

@@ -16,7 +16,7 @@ from deepgps.config.plain_yaml import read_yaml
 from deepgps.config.scenario import Scenario
 from deepgps.evaluation.measure_run import read_measured
 from deepgps.runs.owned_folder import Kind, choose_place, discard, hold, replace
-from deepgps.runs.run_folder import FEATURE_FILES, RUN, TRAINED_FILES
+from deepgps.runs.run_folder import FEATURE_FILES, RUN
 from deepgps.studies.catalog import PICTURES
 from deepgps.studies.engine import ray_cluster
 from deepgps.studies.engine.pool import Failures
@@ -43,7 +43,7 @@ def find_study_files() -> re.Pattern[str]:
     of_run = RUN.files.pattern
     return re.compile(
         rf"study\.yaml|table\.(md|parquet(\.sha256)?)|study\.rrd(\.sha256)?|figures/({'|'.join(PICTURES)})\.png"
-        rf"|runs/{_HASH}/({of_run}|\.deepgps)|trainings/{_HASH}/({TRAINED_FILES}|{FEATURE_FILES})"
+        rf"|runs/{_HASH}/({of_run}|\.deepgps)|features/{_HASH}/({FEATURE_FILES})"
         rf"|recordings/{_HASH}/({RECORDING.pattern})|recordings/{_HASH}\.collecting/({WORK_PATH.pattern})"
     )
 

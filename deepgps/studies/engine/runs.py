@@ -10,7 +10,7 @@ from pathlib import Path
 from deepgps.config.methods import METHODS
 from deepgps.config.plugins import list_plugins, load_plugins
 from deepgps.config.scenario import Scenario
-from deepgps.methods.train import train
+from deepgps.methods.train import train, training_seed
 from deepgps.runs.run_folder import claim, list_trained
 from deepgps.studies.engine.pool import Failures, Tell, do_all
 from deepgps.studies.plan import Plan
@@ -19,6 +19,7 @@ from sim.errors import InputError, WorkError, one_line
 from sim.files.atomic import write_text
 from sim.plugins import locate_failure
 from sim.processes import usable_cores
+from sim.recording.format import open_recording
 
 FAILURE = "failure.txt"
 GPU_BYTES = 3 * 2**30
@@ -72,16 +73,14 @@ def do_run(
     os.environ["OMP_NUM_THREADS"] = "1"
     try:
         from deepgps.evaluation.measure_run import evaluate
-        from deepgps.studies.engine.trainings import leave_trainings, take_trainings
 
         load_plugins(plugins)
         with claim(scenario, folder, fresh=False):
             link = folder / "recording"
             if not link.is_symlink():
                 link.symlink_to(Path("..") / ".." / "recordings" / recording)
-            take_trainings(scenario, folder)
+            share_features(scenario, folder)
             train(scenario, folder, progress, processes=1)
-            leave_trainings(scenario, folder)
             evaluate(scenario, folder, progress)
             (folder / FAILURE).unlink(missing_ok=True)
     except (InputError, WorkError, OSError) as error:
@@ -92,6 +91,16 @@ def do_run(
         where = f"{plugin}: " if (plugin := locate_failure(error)) else ""
         return f"{where}{type(error).__name__}: {one_line(error)} (runs/{folder.name}/{FAILURE})"
     return None
+
+
+def share_features(scenario: Scenario, run: Path) -> None:
+    """Link a run to the features that a study's runs on the same images share; the first that needs them makes them."""
+    from deepgps.learning.training_data import FEATURES, digest_features  # needs torch
+
+    if not (run / FEATURES).exists():
+        digest = digest_features(open_recording(run / "recording"), scenario.learn, training_seed(scenario))[:8]
+        (run.parent.parent / FEATURES / digest).mkdir(parents=True, exist_ok=True)
+        (run / FEATURES).symlink_to(Path("..") / ".." / FEATURES / digest)
 
 
 def count_workers(plans: Sequence[Plan]) -> int:
