@@ -1,4 +1,4 @@
-"""A run's figures as PNG: error fields, comparison, error distribution, training, drive."""
+"""A run's figures as PNG: error fields, comparison, error distribution, drive."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,10 +13,9 @@ from matplotlib.figure import Figure
 
 from deepgps.config.methods import METHODS, colour_of, title_of
 from deepgps.evaluation.error_field import ErrorField, find_rms, read_all_headings, split_by_acceptance
-from deepgps.reports.plots import add_scale, draw_field, draw_room, explain_refused, smooth, to_png
+from deepgps.reports.plots import add_scale, draw_field, draw_room, explain_refused, to_png
 from deepgps.reports.run_report import read_metrics
 from sim.files.atomic import write_bytes
-from sim.files.checksums import read_arrays
 from sim.geometry import FreeSpace, limits
 from sim.recording.format import Truth, open_recording, open_truth
 
@@ -36,21 +35,13 @@ def draw_figures(run: Path) -> list[Path]:
 
 def make_figures(run: Path) -> dict[str, Figure]:
     """Every figure of a run by its name."""
-    metrics, fields, histories = read_metrics(run), read_all_headings(run), read_histories(run)
+    metrics, fields = read_metrics(run), read_all_headings(run)
     truth, recording = open_truth(run / "recording"), open_recording(run / "recording")
     space = truth.free_space
     figures = {"error_fields": draw_comparison(space, fields, metrics)}
     figures["error_cdf"] = draw_error_cdf(fields)
     figures["drive"] = draw_drive(truth, recording.reading, recording.manifest.distance_driven_m)
-    if histories:
-        figures["training"] = draw_training(histories)
     return figures
-
-
-def read_histories(run: Path) -> dict[str, dict[str, np.ndarray]]:
-    """Read each method's history.npz; methods that are not trained step by step have none."""
-    histories = {path.parent.name: read_arrays(path) for path in run.glob("*/history.npz")}
-    return {name: histories[name] for name in sorted(histories, key=_rank)}
 
 
 def draw_comparison(space: FreeSpace, fields: Mapping[str, ErrorField], metrics: Mapping[str, Any]) -> Figure:
@@ -91,27 +82,6 @@ def draw_error_cdf(fields: Mapping[str, ErrorField], *before: Mapping[str, Error
     axes.axhline(50, color="#999999", linewidth=0.8, linestyle=":")
     axes.set_title("Distribution of errors", fontsize=13)
     _finish_plot(axes)
-    return figure
-
-
-def draw_training(histories: Mapping[str, Mapping[str, np.ndarray]]) -> Figure:
-    """Plot loss against step, with a panel for each method, since their losses differ in kind."""
-    figure = Figure(figsize=(7.5, 1.0 + 2.1 * len(histories)), layout="constrained")
-    grid = figure.subplots(len(histories), 1, squeeze=False, sharex=True)[:, 0]
-    for axes, (name, history) in zip(grid, histories.items(), strict=True):
-        step, loss = np.asarray(history["step"]), np.asarray(history["loss"], float)
-        line = _line(name)
-        axes.plot(step, loss, color=line["color"], linewidth=0.7, alpha=0.35)
-        axes.plot(step, smooth(loss), color=line["color"], linewidth=1.8)
-        axes.set_yscale("log")
-        axes.yaxis.set_major_formatter(ticker.FormatStrFormatter("%g"))
-        axes.yaxis.set_minor_formatter(ticker.FormatStrFormatter("%g"))
-        axes.yaxis.set_minor_locator(ticker.LogLocator(subs=(2, 5)))
-        axes.set_ylabel("loss")
-        axes.set_title(line["label"], loc="left", fontsize=11)
-        axes.grid(alpha=0.25)
-        axes.spines[["top", "right"]].set_visible(False)
-    grid[-1].set_xlabel("training step")
     return figure
 
 

@@ -40,7 +40,7 @@ def _make_pattern(known: tuple[str, ...]) -> re.Pattern[str]:
     return re.compile(
         rf"scenario\.yaml|inputs\.json|timing\.json|log\.txt|metrics\.json|without_truth\.json|diagnosis\.json|((error|label|use)_field|pictures)\.npz|failure\.txt"
         rf"|({methods})/(attempt\d+/)?({TRAINED_FILES})|({methods})/alignment\.json|features/({FEATURE_FILES})"
-        rf"|(run|recording|pairs/[0-9a-f]{{12}})\.rrd(\.sha256)?|figures/(error_fields|error_cdf|drive|training)\.png"
+        rf"|(run|recording|pairs/[0-9a-f]{{12}})\.rrd(\.sha256)?|figures/(error_fields|error_cdf|drive)\.png"
         rf"|tracking/({methods})(-[0-9a-f]{{8}})?\.(npz|json|png)"
         rf"|navigate/(to/|changed/)?(metrics\.json|({methods}|dead_reckoning|truth)\.(npz|rrd)|parts/({methods}|dead_reckoning|truth)-\d{{4,}}\.npz)"
         # a study's run has links in place of a recording and of features

@@ -15,7 +15,7 @@ from matplotlib.colors import to_hex
 from deepgps.evaluation.error_field import ErrorField, find_worst, read_all_headings, read_fields
 from deepgps.reports import run_figures
 from deepgps.reports.plots import REFUSED_COLOUR, SCALE_M, colours_of, smooth, to_png
-from deepgps.reports.run_figures import draw_comparison, draw_figures, make_figures
+from deepgps.reports.run_figures import draw_comparison, draw_figures
 from sim.errors import InputError
 from sim.geometry import limits
 from tests.helpers.synthetic_run import make_free_space, write_synthetic_run
@@ -70,7 +70,7 @@ def test_limits_enclose_the_reachable_area() -> None:
 def test_every_figure_is_written_as_png(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(run_figures, "to_png", lambda _: b"\x89PNG")  # one is drawn below
     paths = draw_figures(run)
-    names = {"error_fields", "error_cdf", "drive", "training"}
+    names = {"error_fields", "error_cdf", "drive"}
     assert {path.stem for path in paths} == names
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in paths)
     assert all(path.parent == run / "figures" for path in paths)
@@ -126,14 +126,6 @@ def test_a_foreign_backend_changes_no_figure(run: Path) -> None:
         assert to_png(draw_comparison(space, {"knn": field}, NAMED)) == drawn
     finally:
         matplotlib.use(before)
-
-
-def test_a_run_without_histories_has_no_training_figure(run: Path, tmp_path: Path) -> None:
-    for path in run.rglob("*"):
-        if path.is_file() and path.name != "history.npz":
-            (tmp_path / path.relative_to(run)).parent.mkdir(parents=True, exist_ok=True)
-            (tmp_path / path.relative_to(run)).symlink_to(path)
-    assert "training" not in make_figures(tmp_path)
 
 
 def test_a_broken_error_field_is_one_clear_line(tmp_path: Path) -> None:
