@@ -16,6 +16,7 @@ from deepgps.evaluation.error_field import ErrorField, find_rms, read_all_headin
 from deepgps.reports.plots import add_scale, draw_field, draw_room, explain_refused, to_png
 from deepgps.reports.run_report import read_metrics
 from sim.files.atomic import write_bytes
+from sim.files.checksums import read_arrays
 from sim.geometry import FreeSpace, limits
 from sim.recording.format import Truth, open_recording, open_truth
 
@@ -42,6 +43,12 @@ def make_figures(run: Path) -> dict[str, Figure]:
     figures["error_cdf"] = draw_error_cdf(fields)
     figures["drive"] = draw_drive(truth, recording.reading, recording.manifest.distance_driven_m)
     return figures
+
+
+def read_histories(run: Path) -> dict[str, dict[str, np.ndarray]]:
+    """Read each method's history.npz; methods that are not trained step by step have none."""
+    histories = {path.parent.name: read_arrays(path) for path in run.glob("*/history.npz")}
+    return {name: histories[name] for name in sorted(histories, key=_rank)}
 
 
 def draw_comparison(space: FreeSpace, fields: Mapping[str, ErrorField], metrics: Mapping[str, Any]) -> Figure:
