@@ -19,7 +19,10 @@ from deepgps.reports.plots import REFUSED_COLOUR, colours_of
 from deepgps.viewer.scene import LAYER_M, draw_ellipses, lift
 from deepgps.viewer.stream import Rows, put
 
-ACCEPTED, REFUSED = "accepted", "refused"  # Entities of the worst headings that are accepted, and of those refused
+ACCEPTED_PART, REFUSED_PART = (
+    "accepted",
+    "refused",
+)  # Entities of the worst headings that are accepted, and of those refused
 DENSE_SPACING_M = 0.05  # test positions with smaller spacing get thinner arrows
 HEIGHT_M = 3 * LAYER_M
 HEAD_M = 0.05
@@ -47,8 +50,8 @@ def log_field(
     accepted, refused = split_by_acceptance(field)
     thin = find_thinness(field.truth)
     for part, some, colours, before in (
-        (ACCEPTED, accepted, colours_of(accepted.error), ""),
-        (REFUSED, refused, REFUSED_RGBA[None], "refused: "),
+        (ACCEPTED_PART, accepted, colours_of(accepted.error), ""),
+        (REFUSED_PART, refused, REFUSED_RGBA[None], "refused: "),
     ):
         words = {"error": [before + one for one in describe_errors(some, marks)], "method": [title_of(name)]}
         lines = rr.LineStrips3D(draw_arrows(some.truth, some.predicted), radii=0.007 * thin, colors=colours)

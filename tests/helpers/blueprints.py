@@ -10,7 +10,7 @@ import pyarrow as pa
 from rerun.chunk import RrdReader
 
 from deepgps.viewer.connect import find_viewer
-from deepgps.viewer.error_field import ACCEPTED, REFUSED
+from deepgps.viewer.error_field import ACCEPTED_PART, REFUSED_PART
 from deepgps.viewer.stream import open_rrd
 
 OVERRIDES = "/ViewContents/overrides/"
@@ -37,7 +37,7 @@ def read_static(path: Path, entity: str, component: str) -> list:
 
 
 def read_error_field(
-    path: Path, method: str, root: str = "world", parts: tuple[str, ...] = (ACCEPTED, REFUSED)
+    path: Path, method: str, root: str = "world", parts: tuple[str, ...] = (ACCEPTED_PART, REFUSED_PART)
 ) -> tuple[np.ndarray, np.ndarray]:
     """Where a method's arrows of these parts begin and end in a recording (n, 2) [m]."""
     strips = [read_static(path, f"{root}/error_field/{method}/{part}/arrows", "LineStrips3D:strips") for part in parts]

@@ -22,7 +22,7 @@ from deepgps.runs.run_folder import open_run
 from deepgps.terminal.progress import Look, ignore
 from deepgps.viewer.connect import connect, open_viewer
 from deepgps.viewer.drive import ROBOT
-from deepgps.viewer.error_field import ACCEPTED
+from deepgps.viewer.error_field import ACCEPTED_PART
 from deepgps.viewer.live import LiveDrive, LiveView, show_live
 from deepgps.viewer.own_map import OWN_MAP, log_own_map
 from deepgps.viewer.stream import run_clock
@@ -68,7 +68,7 @@ def check_whole(run: Path, got: Path) -> None:
             assert counts[f"/world/training/{name}"] >= len(history["snapshot"])
     static = {chunk.entity_path for chunk in RrdReader(got).stream() if not chunk.timeline_names}
     for name, field in read_all_headings(run).items():
-        _, predicted = read_error_field(got, name, parts=(ACCEPTED,))
+        _, predicted = read_error_field(got, name, parts=(ACCEPTED_PART,))
         np.testing.assert_allclose(predicted, split_by_acceptance(field)[0].predicted, atol=1e-6)
     assert {"/world/room", "/world/floor_plan", "/report/figures", "/steps"} <= static
     assert find_missing(got) == []

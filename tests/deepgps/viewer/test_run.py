@@ -18,7 +18,7 @@ from deepgps.runs.run_folder import VIEWED
 from deepgps.viewer import drive
 from deepgps.viewer import run as recording
 from deepgps.viewer.drive import ROBOT
-from deepgps.viewer.error_field import ACCEPTED, REFUSED, TRUST
+from deepgps.viewer.error_field import ACCEPTED_PART, REFUSED_PART, TRUST
 from deepgps.viewer.places import PICTURES, Place, find_places, turn_picture
 from deepgps.viewer.run import find_recording, write_run
 from deepgps.viewer.show import view
@@ -85,7 +85,7 @@ def read_places(run: Path) -> list[Place]:
 
 def test_error_fields_are_shown_as_they_were_measured(run: Path) -> None:
     for method, field in read_all_headings(run).items():
-        for part, worst in zip((ACCEPTED, REFUSED), split_by_acceptance(field), strict=True):
+        for part, worst in zip((ACCEPTED_PART, REFUSED_PART), split_by_acceptance(field), strict=True):
             truth, predicted = read_error_field(run / VIEWED, method, parts=(part,))
             np.testing.assert_allclose(truth, worst.truth, atol=1e-6)
             np.testing.assert_allclose(predicted, worst.predicted, atol=1e-6)
@@ -150,7 +150,7 @@ def test_every_arrow_and_dot_says_its_error_in_the_tooltip(run: Path) -> None:
         assert len(marks) > 1
         accepted, refused = split_by_acceptance(read_all_headings(run)[method])
         assert (len(refused.error) > 0) == (method in REFUSING)
-        for part, field, before in ((ACCEPTED, accepted, ""), (REFUSED, refused, "refused: ")):
+        for part, field, before in ((ACCEPTED_PART, accepted, ""), (REFUSED_PART, refused, "refused: ")):
             radii = field.error if field.radius is None else field.radius
             expected = [
                 f"{before}{100 * error:.1f}{'' if field.radius is None else f' (± {100 * radius:.1f})'} cm, "

@@ -16,7 +16,7 @@ from deepgps.studies.plan import Plan, plan_runs
 from deepgps.studies.study import load_study
 from deepgps.studies.table import gather, write_table
 from deepgps.viewer import study as viewer
-from deepgps.viewer.error_field import ACCEPTED, REFUSED
+from deepgps.viewer.error_field import ACCEPTED_PART, REFUSED_PART
 from deepgps.viewer.scene import draw_floor_plan
 from deepgps.viewer.show import view
 from deepgps.viewer.sliders import find_sliders
@@ -63,7 +63,7 @@ def cells(path: Path, entity: str, component: str) -> Iterator[tuple[str, int, A
 
 
 def fields(
-    path: Path, method: str, parts: Sequence[str] = (ACCEPTED, REFUSED)
+    path: Path, method: str, parts: Sequence[str] = (ACCEPTED_PART, REFUSED_PART)
 ) -> dict[tuple[str, int], tuple[np.ndarray, np.ndarray]]:
     """Arrows of a method at every place of every slider in order: where they begin, and their way (n, 2)."""
     strips: dict[tuple[str, int], list[np.ndarray]] = {}
