@@ -89,7 +89,9 @@ def study_command(words: Sequence[str]) -> None:
         if len(failures) < len(plans):
             from deepgps.viewer.study import write_study
 
-            write_study(place)
+            with show_progress(errors, quiet_s=2.0) as progress:
+                progress("recording for the viewer", 0, 1)
+                write_study(place)
         if failures:
             raise WorkError(f"{len(failures)} of {len(plans)} runs failed; {place / 'table.md'} says why")
     run = folder / "runs" / plans[0].run

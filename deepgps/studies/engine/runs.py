@@ -100,6 +100,7 @@ def share_features(scenario: Scenario, run: Path) -> None:
     if not (run / FEATURES).exists():
         digest = digest_features(open_recording(run / "recording"), scenario.learn, training_seed(scenario))[:8]
         (run.parent.parent / FEATURES / digest).mkdir(parents=True, exist_ok=True)
+        (run / FEATURES).unlink(missing_ok=True)  # a link to what somebody has removed
         (run / FEATURES).symlink_to(Path("..") / ".." / FEATURES / digest)
 
 

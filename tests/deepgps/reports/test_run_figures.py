@@ -20,7 +20,7 @@ from sim.errors import InputError
 from sim.geometry import limits
 from tests.helpers.synthetic_run import make_free_space, write_synthetic_run
 
-NAMED = {"scenario": "room", "seed": 0, "samples": 60}
+HEAD = {"scenario": "room", "seed": 0, "samples": 60}
 POSITIONS = arrays(float, (5, 3, 2), elements=st.floats(-10, 10))
 
 
@@ -81,10 +81,10 @@ def test_a_narrow_drive_along_y_has_a_figure_that_can_be_drawn(run: Path) -> Non
     reachable[:, 1] = True
     space = replace(make_free_space(), free=reachable, reachable=reachable, origin=np.zeros(2), cell_m=0.1)
     assert np.ptp(limits(space), axis=0)[1] > 100 * np.ptp(limits(space), axis=0)[0]
-    figure = draw_comparison(space, {"deepgps": read_all_headings(run)["deepgps"]}, NAMED)
+    figure = draw_comparison(space, {"deepgps": read_all_headings(run)["deepgps"]}, HEAD)
     assert figure.get_figheight() < 40.0
     field = {"knn": read_all_headings(run)["knn"]}
-    first, second = (to_png(draw_comparison(make_free_space(), field, NAMED)) for _ in "ab")
+    first, second = (to_png(draw_comparison(make_free_space(), field, HEAD)) for _ in "ab")
     assert first == second and b"Matplotlib" not in first, "equal figures give equal bytes"
 
 
@@ -95,7 +95,7 @@ def list_arrows(quiver: Artist) -> np.ndarray:
 
 def test_the_arrows_are_drawn_to_scale(run: Path) -> None:
     space, field = make_free_space(), read_all_headings(run)["knn"]
-    axes = draw_comparison(space, {"knn": field}, NAMED).axes[0]
+    axes = draw_comparison(space, {"knn": field}, HEAD).axes[0]
     refused, arrows = (part for part in axes.collections if hasattr(part, "U"))
     assert list_arrows(refused).shape == (0, 4)
     field, drawn = find_worst(field), list_arrows(arrows)
@@ -108,22 +108,22 @@ def test_the_arrows_are_drawn_to_scale(run: Path) -> None:
 def test_refused_images_are_grey_and_the_others_have_colours(run: Path) -> None:
     field = read_all_headings(run)["knn"]
     accepted = np.random.default_rng(0).random(field.error.shape) < 0.5
-    figure = draw_comparison(make_free_space(), {"knn": replace(field, accepted=accepted)}, NAMED)
+    figure = draw_comparison(make_free_space(), {"knn": replace(field, accepted=accepted)}, HEAD)
     refused, arrows = (part for part in figure.axes[0].collections if hasattr(part, "U"))
     assert len(list_arrows(arrows)) == accepted.any(axis=1).sum()
     assert len(list_arrows(refused)) == (~accepted).any(axis=1).sum()
     assert {to_hex(colour) for colour in refused.get_facecolors()} == {REFUSED_COLOUR}
     assert "grey: images that the method refuses" in figure.legends[0].texts[0].get_text()
     assert f"{100 * accepted.mean():.1f} % accepted" in figure.axes[0].get_title("right")
-    assert not draw_comparison(make_free_space(), {"knn": field}, NAMED).legends
+    assert not draw_comparison(make_free_space(), {"knn": field}, HEAD).legends
 
 
 def test_a_foreign_backend_changes_no_figure(run: Path) -> None:
     field, space, before = read_all_headings(run)["knn"], make_free_space(), matplotlib.get_backend()
-    drawn = to_png(draw_comparison(space, {"knn": field}, NAMED))
+    drawn = to_png(draw_comparison(space, {"knn": field}, HEAD))
     matplotlib.use("svg")
     try:
-        assert to_png(draw_comparison(space, {"knn": field}, NAMED)) == drawn
+        assert to_png(draw_comparison(space, {"knn": field}, HEAD)) == drawn
     finally:
         matplotlib.use(before)
 
