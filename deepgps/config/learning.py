@@ -105,6 +105,15 @@ class FoldSettings(Group):
     """How often training may restart after a fold is found; if start is auto, restarts use lifting."""
 
 
+class ExplicitSettings(Group):
+    """Explicit positioning, which solves for landmarks and positions at once; only where distances are observed."""
+
+    readings: int = Field(default=2000, ge=3, le=1_000_000)
+    """Maximum number of readings, spread over the segments, whose positions are unknowns."""
+    evaluations: int = Field(default=100, ge=1, le=100_000)
+    """Maximum number of function evaluations of the solver."""
+
+
 class PcaSettings(Group):
     """The nearest neighbour among scans at many headings, by principal components; only where scans are observed."""
 
@@ -128,6 +137,7 @@ class LearnSettings(Group):
     """How the map is unfolded before the distances refine it: paths (the network imitates an initial map; most segments
     need three readings), ends (the same for segments with two readings), lifting, random (not at all), or auto: paths
     where possible, else lifting."""
+    explicit: ExplicitSettings = ExplicitSettings()
     pca: PcaSettings = PcaSettings()
     lift: LiftSettings = LiftSettings()
     fold: FoldSettings = FoldSettings()

@@ -45,7 +45,7 @@ class Method:
     @property
     def is_baseline(self) -> bool:
         """Whether it is there to be compared with: it is given positions, or is of older work."""
-        return self.map not in {"compass", "distances", "own"} or self.estimator == "linear"
+        return self.map not in {"compass", "distances", "own"} or self.estimator in {"linear", "trilateration"}
 
 
 METHODS: dict[str, Method] = {
@@ -80,6 +80,26 @@ METHODS: dict[str, Method] = {
     "deepgps": Method("DeepGPS", "#0b62d6", "E2", "deepgps.methods.deepgps:fit", "distances", "network"),
     "sfa_linear": Method(
         "Linear slow features", "#a0694b", "E2", "deepgps.methods.sfa_linear:fit", "distances", "linear", in_steps=False
+    ),
+    "explicit": Method(
+        "Explicit positioning",
+        "#7a4fbf",
+        "E2",
+        "deepgps.methods.explicit:fit",
+        "distances",
+        "trilateration",
+        observes="vector",
+        in_steps=False,
+    ),
+    "explicit_mds": Method(
+        "Explicit, from MDS",
+        "#9aa0a8",
+        "E2",
+        "deepgps.methods.explicit:fit_from_mds",
+        "distances",
+        "trilateration",
+        observes="vector",
+        in_steps=False,
     ),
     "dead_reckoned_labels": Method(
         "Odometry labels", "#2b2b2b", "SE2", "deepgps.methods.baselines:fit_dead_reckoned", "wheels", "network"

@@ -20,7 +20,7 @@ from deepgps.positioner.positioner import (
     Positioner,
     RegistrationPositioner,
 )
-from deepgps.positioner.without_features import ArrayPositioner, ScanPositioner
+from deepgps.positioner.without_features import ArrayPositioner, LandmarkPositioner, ScanPositioner
 from sim.errors import DamagedError, InputError, WorkError, one_line
 from sim.files.atomic import write_bytes
 from sim.files.checksums import FORMAT, check_sha256, damaged, read_json, refuse_format, write_json
@@ -34,6 +34,7 @@ KINDS = {
         NeighbourPositioner,
         LinearPositioner,
         ScanPositioner,
+        LandmarkPositioner,
         ArrayPositioner,
     )
 }

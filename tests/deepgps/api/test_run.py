@@ -114,11 +114,11 @@ def test_a_lost_alignment_is_made_again_by_evaluating(copied: deepgps.Run):
 @pytest.mark.slow
 def test_a_method_is_added_to_a_finished_run(tmp_path: Path):
     settings = {"landmarks.segments": 40, "learn.train.steps": 20, "grid.spacing_m": 0.2}
-    one = deepgps.simulate("landmarks", tmp_path / "run", ["knn"], settings, progress=False)
-    weights = (one.folder / "knn" / "positioner.json").read_bytes()
+    one = deepgps.simulate("landmarks", tmp_path / "run", ["explicit"], settings, progress=False)
+    weights = (one.folder / "explicit" / "positioner.json").read_bytes()
     both = deepgps.simulate("landmarks", tmp_path / "run", ["posenet"], settings, progress=False)
-    assert list(both.methods) == ["knn", "posenet"]
-    assert (one.folder / "knn" / "positioner.json").read_bytes() == weights
+    assert list(both.methods) == ["explicit", "posenet"]
+    assert (one.folder / "explicit" / "positioner.json").read_bytes() == weights
 
 
 def test_an_alignment_of_another_training_is_refused(copied: deepgps.Run):

@@ -66,7 +66,7 @@ def test_numbers_that_yaml_reads_as_text_are_numbers(tmp_path):
             "drive: {headings: map, until: {unseen: 0.1, radius_m: 0.02}}",
             "drive.until.radius_m 0.02 needs registration in methods",
         ),
-        ("methods: [pca_knn]", "methods: pca_knn needs scans, which world obstacles or, in a room, sensor lidar gives"),
+        ("methods: [explicit]", "methods: explicit needs distances to landmarks, which world landmarks alone gives"),
         (
             "{world: landmarks, learn: {network: {architecture: resnet}}}",
             "'resnet' needs images, which world landmarks",

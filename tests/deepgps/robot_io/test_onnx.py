@@ -22,7 +22,7 @@ from deepgps.methods.fit import fit_method
 from deepgps.positioner.pose import Poses, find_poses
 from deepgps.positioner.positioner import NetworkPositioner
 from deepgps.positioner.registration import REASONS
-from deepgps.positioner.without_features import ArrayPositioner
+from deepgps.positioner.without_features import LandmarkPositioner
 from deepgps.robot_io.export import MODULES, OUTPUTS, Deployed, FeatureModule, write_onnx
 from sim.alignment import Alignment
 from sim.errors import InputError
@@ -180,7 +180,7 @@ def test_what_cannot_be_written_is_refused_in_one_line(
     leaning: NetworkPositioner, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     with pytest.raises(InputError, match="--onnx: method knn is neither a network nor registration on polar images"):
-        write_onnx(tmp_path, "knn", ArrayPositioner("knn", {}), None, None)
+        write_onnx(tmp_path, "knn", LandmarkPositioner(np.zeros((3, 2)), np.inf), None, None)
     monkeypatch.setitem(sys.modules, "onnxscript", None)
     with pytest.raises(InputError, match="--onnx needs pip install onnx onnxscript onnxruntime"):
         write_onnx(tmp_path, "deepgps_compass", leaning, None, None)

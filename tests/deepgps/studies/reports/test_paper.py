@@ -38,6 +38,7 @@ def test_methods_and_settings_are_refused_in_worlds_without_what_they_need():
         ("landmarks", {"grid.held_out": "5"}, "grid.held_out"),
         ("living_room", {"methods": ["pca_knn"]}, "pca_knn"),
         ("quick", {"sensor": "lidar", "learn.network.architecture": "resnet"}, "'resnet' needs images"),
+        ("lidar", {"methods": ["explicit"]}, "explicit needs distances to landmarks"),
     ):
         with pytest.raises(InputError, match=field):
             load_scenario(world, settings)
