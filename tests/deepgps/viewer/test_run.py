@@ -220,7 +220,7 @@ def test_radii_are_the_largest_of_what_is_accepted(run: Path) -> None:
     (method, field) = next(iter(read_all_headings(run).items()))
     largest = 100 * np.where(field.is_accepted, np.asarray(field.radius), 0).max(axis=1)
     expected = [f"68 % within {one:.1f} cm" if one else "refused at all headings" for one in largest]
-    assert read_static(run / VIEWED, f"{TRUST}/{method}", "radius") == expected and 0 in largest
+    assert read_static(run / VIEWED, f"{TRUST}/{method}/radius", "radius") == expected and 0 in largest
 
 
 def test_a_worst_place_shows_its_radii_and_says_whether_it_was_refused(run: Path) -> None:
