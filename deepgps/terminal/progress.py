@@ -93,7 +93,7 @@ class Lines:
         """Say that work goes on if nothing was said of the label that was reported last for long."""
         now, stage = self._clock(), self._stages.get(self._last)
         if stage and _is_silent(stage, now):
-            self._say(f"{_write_stage(self._last, stage)}, at work for {write_time(now - stage.heard)} since")
+            self._say(f"{_write_stage(self._last, stage)}, still at work after {write_time(now - stage.heard)}")
             stage.at = now
 
 
