@@ -162,6 +162,16 @@ def test_a_case_may_name_its_own_scenario(tmp_path):
     assert varied_in(rows[0])[-1] == "encoder.step_noise"  # the axis
 
 
+def test_a_case_may_name_its_own_methods(tmp_path):
+    study = write_study(tmp_path, cases=[{"room.seed": 1}, {"room.seed": 2, "methods": ["knn", "posenet"]}], axes={})
+    plans = plan_runs(load_study(str(study), tiny=False))
+    assert {plan.scenario.methods for plan in plans if plan.varied["room.seed"] == 1} == {("deepgps",)}
+    assert {plan.scenario.methods for plan in plans if plan.varied["room.seed"] == 2} == {("knn", "posenet")}
+    rows = gather(plans, {plan.run: "not run" for plan in plans}, tmp_path)
+    assert {(row["room.seed"], row["method"]) for row in rows} == {(1, "deepgps"), (2, "knn"), (2, "posenet")}
+    assert "methods" not in rows[0]
+
+
 def test_a_scenario_that_varies_is_sought_beside_the_study_as_its_own_is(tmp_path):
     (tmp_path / "other.yaml").write_text("drive: {samples: 50}")
     varied = {"cases": [{}], "axes": {"scenario": ["other.yaml"]}}
