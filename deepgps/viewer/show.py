@@ -149,8 +149,9 @@ def _take_when_drawn(viewer: Popen, url: str, tab: str | None, path: Path) -> Im
                 layout = client.get_blueprint().blueprint
                 choose_tab(layout, tab)
                 client.set_blueprint(layout, of="recording")
-                client.set_time(play_state="following")  # to the end, where all is drawn
                 chosen = True
+            with suppress(ConnectionError):  # a pair of runs has no time
+                client.set_time(play_state="following")  # to the end, where all is drawn
             client.save_screenshot(str(path))
         with suppress(OSError):
             picture = Image.open(path).convert("RGB")
