@@ -5,9 +5,9 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "lines of sim and deepgps": 41_096,
+    "lines of sim and deepgps": 41_097,
     "files of sim and deepgps": 299,
-    "lines of tests": 28_863,
+    "lines of tests": 28_866,
     "Python files directly in deepgps": 2,
     "words of decisions": 6_879,
     "words of all other pages by hand": 21_276,

@@ -172,5 +172,8 @@ def test_a_picture_shows_the_error_field(tmp_path: Path) -> None:
     above_the_strip = picture[125:750, :1066].reshape(-1, 3).astype(int) // 4
     there = {tuple(colour) for colour in np.unique(above_the_strip, axis=0)}
     assert len(colours) > 50 and np.mean([tuple(colour) in there for colour in colours]) > 0.6
+    pair = (str(run), str(write_synthetic_run(tmp_path / "other", samples=60)))  # a recording without a timeline
+    done = deepgps_here("view", *pair, "--screenshot", str(tmp_path / "pair.png"), cwd=tmp_path)
+    assert done.returncode == 0 and (tmp_path / "pair.png").is_file(), done.stderr
     if folder := os.environ.get("SCREENSHOTS"):  # to look at
         shutil.copy(out, folder)
