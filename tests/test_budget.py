@@ -5,12 +5,12 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "lines of sim and deepgps": 41_097,
+    "lines of sim and deepgps": 41_111,
     "files of sim and deepgps": 299,
-    "lines of tests": 28_866,
+    "lines of tests": 28_879,
     "Python files directly in deepgps": 2,
     "words of decisions": 6_879,
-    "words of all other pages by hand": 21_276,
+    "words of all other pages by hand": 21_283,
     "words of the reference that the code does not say": 3_334,
     "words of published results": 8_000,
 }

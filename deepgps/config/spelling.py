@@ -56,14 +56,14 @@ def find_like(name: str, known: Collection[str]) -> str | None:
 
 
 def find_settings_like(dotted: str, kind: type[Group]) -> list[str]:
-    """Settings that a wrong dotted name may have meant: one of the same group, or the same name in other groups."""
+    """Settings that a wrong dotted name may have meant: the same name in other groups, or one of the same group."""
     names = [name for name, _ in list_settings(kind)]
     group, _, leaf = dotted[:MAX_LETTERS].rpartition(".")
     inside = {name.rpartition(".")[2]: name for name in names if name.rpartition(".")[0] == group}
-    if like := find_like(leaf, inside):
-        return [inside[like]]
     if elsewhere := [name for name in names if name.rpartition(".")[2] == leaf]:
         return elsewhere[:3]
+    if like := find_like(leaf, inside):
+        return [inside[like]]
     if group:
         return difflib.get_close_matches(dotted[:MAX_LETTERS], names, n=1, cutoff=MIN_SIMILARITY_OF_MANY)
     leaves = {name.rpartition(".")[2]: name for name in names}

@@ -44,7 +44,7 @@ def print_track(tracked: Tracked, console: Console) -> None:
     say(
         console,
         f"{title_of(tracked.method)}: {figures['tracked']} of {figures['images']} images tracked; "
-        f"{accepted['causal']:.1%} accepted while driving, {accepted['smoothed']:.1%} afterwards.\n",
+        f"{100 * accepted['causal']:.1f} % accepted while driving, {100 * accepted['smoothed']:.1f} % afterwards.\n",
     )
     if "causes" in figures:
         say(console, f"{describe_causes(figures['causes'])}\n")

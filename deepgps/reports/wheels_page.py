@@ -108,9 +108,11 @@ def print_wheels(wheels: Wheels, assumed: Sequence[float], settings: EncoderSett
     for length, gaps in wheels.gaps.items():
         error, model = list_errors(gaps)["along"][0], wheels.model.expect_spread(length)
         spread = measure_spread(error)
-        beyond = (np.abs(error - np.median(error)) > 3.0 * spread).mean()
+        beyond = 100 * (np.abs(error - np.median(error)) > 3.0 * spread).mean()
         both = f"{1000 * spread:.2f} mm, by the model and the tracker's {1000 * model:.2f}"
-        lines.append(f"Gaps of {100 * length:g} cm: error {both}; beyond three deviations {beyond:.1%} (normal: 0.3 %)")
+        lines.append(
+            f"Gaps of {100 * length:g} cm: error {both}; beyond three deviations {beyond:.1f} % (normal: 0.3 %)"
+        )
     if wheels.ends_m:
         before, after = np.transpose(list(wheels.ends_m.values()))
         ratio = f"{(after / before).mean():.2f} times as far off as assumed ({len(before)} parts, each its median)"

@@ -93,7 +93,7 @@ class Lines:
         """Say that work goes on if nothing was said of the label that was reported last for long."""
         now, stage = self._clock(), self._stages.get(self._last)
         if stage and _is_silent(stage, now):
-            self._say(f"{_write_stage(self._last, stage)}, still at work after {write_time(now - stage.heard)}")
+            self._say(f"{_write_stage(self._last, stage)}, still at work after {write_time(now - _since(stage))}")
             stage.at = now
 
 
@@ -105,8 +105,12 @@ def _is_due(stage: _Stage, now: float) -> bool:
 
 
 def _is_silent(stage: _Stage, now: float) -> bool:
-    since = stage.begun if stage.done < stage.total else stage.heard  # work that has no label follows a finished one
-    return now - stage.at >= min(60.0, max(4.0, 0.03 * (now - since)))
+    return now - stage.at >= min(60.0, max(4.0, 0.03 * (now - _since(stage))))
+
+
+def _since(stage: _Stage) -> float:
+    """When the work began [s]: work that has no label follows a finished one."""
+    return stage.begun if stage.done < stage.total else stage.heard
 
 
 def _write_stage(label: str, stage: _Stage) -> str:

@@ -47,9 +47,9 @@ class EncoderSettings(Group):
 
     ticks_per_rev: int = Field(default=4096, ge=4, le=65536)
     """Ticks per wheel revolution (TurtleBot3: 4096)."""
-    radius_error_left: float = Field(default=0.0, ge=-0.5, le=0.5)
+    radius_error_left: float = Field(default=0.0, ge=-0.2, le=0.2)
     """The left wheel's assumed radius is wrong by this fraction; its distances scale with 1 + the fraction."""
-    radius_error_right: float = Field(default=0.0, ge=-0.5, le=0.5)
+    radius_error_right: float = Field(default=0.0, ge=-0.2, le=0.2)
     """The right wheel's assumed radius is wrong by this fraction."""
     track_error: float = Field(default=0.0, ge=-0.5, le=0.5)
     """The assumed track width is wrong by this fraction (turns only)."""

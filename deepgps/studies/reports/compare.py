@@ -23,10 +23,11 @@ from deepgps.studies.table import CASE, Row, choices, describe, is_seed, mean, s
 
 NO_CHANGE = "no change"  # A case with the settings that most cases share
 CHANCE = 0.975  # Quantile of an interval of 95 %
-CASES = Table(CASE, "error_m error_95 added_m added_95 median_m accepted runs", section="title")
+CASES = Table(CASE, "error_m error_95 median_m added_m added_95 accepted runs", section="title")
 CASES_NOTE = (
     "Error: RMS of the images that a method accepts, or of all where it accepts none, mean over seeds with its "
-    "interval of 95 %. Added: by how much it is more than that of the first case with the same seed."
+    "interval of 95 %. Added: by how much the median of all images is more than that of the first case with the same "
+    "seed; of accepted images, the cases accept others."
 )
 COMPARE = Table(
     f"{CHOICES} method",
@@ -52,7 +53,7 @@ KNEE = 1.25
 
 
 def find_cases(rows: Sequence[Row], varied: Sequence[str]) -> list[Row]:
-    """Rows with the case's name, its error and what it adds to the first case's [m], and intervals as text [cm]."""
+    """Rows with the case's name, its error, what it adds to the first one's median [m], and intervals as text [cm]."""
     named = [
         {
             **row,
@@ -63,10 +64,10 @@ def find_cases(rows: Sequence[Row], varied: Sequence[str]) -> list[Row]:
         for row, name in zip(rows, name_cases(rows, varied), strict=True)
     ]
     same = ["method", *(name for name in named[0] if is_seed(name))]
-    based = add_base(named, {CASE: named[0][CASE]}, same, "error_m")
+    based = add_base(named, {CASE: named[0][CASE]}, same, "median_m")
     for row in based:
-        first = row[CASE] == named[0][CASE] or row["base_error_m"] is None
-        row["added_m"] = None if first else row["error_m"] - row["base_error_m"]
+        first = row[CASE] == named[0][CASE] or row["base_median_m"] is None
+        row["added_m"] = None if first else row["median_m"] - row["base_median_m"]
     for group in split_by_label(based, lambda row: (row[CASE], row["method"])).values():
         found = {
             f"{name}_95": write_interval([row[f"{name}_m"] for row in group], least)
@@ -86,27 +87,34 @@ def name_cases(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
     return [row.get(CASE) or (describe(row, some) if some else NO_CHANGE) for row, some in zip(rows, told, strict=True)]
 
 
-def write_interval(values: Sequence[float | None], least: float) -> str | None:
-    """The interval of 95 % of a mean, which cannot be below ``least`` [cm]; None: fewer than two values."""
+def find_interval(values: Sequence[float | None]) -> tuple[float, float] | None:
+    """The interval of 95 % of a mean; None: fewer than two values."""
     from scipy.stats import t  # here, since a study can be checked without it
 
-    known = 100 * np.array([value for value in values if value is not None])
+    known = np.array([value for value in values if value is not None])
     if len(known) < 2:
         return None
     half = t.ppf(CHANCE, len(known) - 1) * known.std(ddof=1) / len(known) ** 0.5
-    return f"{max(known.mean() - half, least):.2f} to {known.mean() + half:.2f}"
+    return float(known.mean() - half), float(known.mean() + half)
+
+
+def write_interval(values: Sequence[float | None], least: float) -> str | None:
+    """The interval of 95 % of a mean, which cannot be below ``least`` [cm]; None: fewer than two values."""
+    found = find_interval(values)
+    return f"{max(100 * found[0], least):.2f} to {100 * found[1]:.2f}" if found else None
 
 
 def rank_cases(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
-    """A sentence for each method: the cases by what they add to the first one's error, most first."""
-    added = [row for row in rows if row["added_m"] is not None]
-    return [
-        f"**What adds most to {rows[0][CASE]}, {title}:** "
-        + ", ".join(f"{case} {100 * one:+.2f}" for case, one in sorted(means.items(), key=lambda pair: -pair[1]))
-        + " cm."
-        for title, group in split_by(added, "title").items()
-        for means in [{case: mean(some, "added_m") for case, some in split_by(group, CASE).items()}]
-    ]
+    """A sentence for each method: the cases by what they add to the first one's median, most first."""
+    sentences, added = [], [row for row in rows if row["added_m"] is not None]
+    for title, group in split_by(added, "title").items():
+        parts = []
+        for case, some in sorted(split_by(group, CASE).items(), key=lambda pair: -mean(pair[1], "added_m")):
+            interval = find_interval([row["added_m"] for row in some])
+            unsure = interval is None or interval[0] <= 0.0 <= interval[1]
+            parts.append(f"{case} {100 * mean(some, 'added_m'):+.2f}{' (not told apart)' * unsure}")
+        sentences.append(f"**What adds most to {rows[0][CASE]}, {title}:** {', '.join(parts)} cm.")
+    return sentences
 
 
 def find_curves(rows: Sequence[Row], varied: Sequence[str]) -> list[Row]:

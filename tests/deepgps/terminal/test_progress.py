@@ -73,7 +73,10 @@ def test_work_without_reports_is_heard_too() -> None:
     for _ in range(12):
         clock.now += 1.0
         lines.beat()
-    assert said == ["write: 0 of 1 (0 %)", *(f"write: 0 of 1 (0 %), still at work after {time} s" for time in (4, 8, 12))]
+    assert said == [
+        "write: 0 of 1 (0 %)",
+        *(f"write: 0 of 1 (0 %), still at work after {time} s" for time in (4, 8, 12)),
+    ]
 
 
 def test_each_label_is_counted_alone() -> None:

@@ -37,7 +37,7 @@ CASES = [("none", 0.0, 0.02), ("carpet", 0.02, 0.03), ("rug", 0.05, 0.09)]
 @given(st.lists(st.floats(-0.01, 0.01), min_size=2, max_size=6))
 def test_cases_are_compared_with_the_first_one_of_the_same_seed_and_ranked(luck: list[float]) -> None:
     rows = [
-        make_row(rms + one, rms_accepted_m=rms + one, case=name) | {SLIP: slip, "seed": seed}
+        make_row(rms + one, rms_accepted_m=rms + one, median_m=rms + one, case=name) | {SLIP: slip, "seed": seed}
         for name, slip, rms in CASES
         for seed, one in enumerate(luck)
     ]
@@ -45,8 +45,18 @@ def test_cases_are_compared_with_the_first_one_of_the_same_seed_and_ranked(luck:
     assert max(map(len, read_cells(text, headings=True))) <= 8
     for name, _, rms in CASES[1:]:
         added = 100 * (rms - CASES[0][2])
-        assert find_line(text, name)[2:4] == [f"{added:.2f}", f"{added:.2f} to {added:.2f}"]  # luck is no difference
+        assert find_line(text, name)[3:5] == [f"{added:.2f}", f"{added:.2f} to {added:.2f}"]  # luck is no difference
     assert "What adds most to none, DeepGPS:** rug +7.00, carpet +1.00 cm" in text
+
+
+def test_cases_whose_interval_holds_no_difference_are_not_told_apart() -> None:
+    rows = [
+        make_row(0.1, rms_accepted_m=0.1, median_m=median, case=name, seed=seed)
+        for name, medians in (("none", (0.01, 0.02)), ("ticks", (0.02, 0.01)), ("slip", (0.03, 0.0402)))
+        for seed, median in enumerate(medians)
+    ]
+    text, _ = report_rows("compare", rows, ["case", "seed"])
+    assert "What adds most to none, DeepGPS:** slip +2.01, ticks +0.00 (not told apart) cm" in text
 
 
 def test_a_case_without_a_name_is_named_by_what_it_changes() -> None:
