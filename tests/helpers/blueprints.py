@@ -11,7 +11,6 @@ from rerun.chunk import RrdReader
 
 from deepgps.viewer.connect import find_viewer
 from deepgps.viewer.error_field import ACCEPTED_PART, REFUSED_PART
-from deepgps.viewer.stream import open_rrd
 
 OVERRIDES = "/ViewContents/overrides/"
 
@@ -26,7 +25,7 @@ def count_rows(path: Path) -> Counter[str]:
 
 def read_entity(path: Path, entity: str) -> pa.Table:
     """All data of one entity of a recording, in the viewer's own columns; empty if there is no such entity."""
-    chunks = [chunk for chunk in open_rrd(path).stream() if chunk.entity_path == f"/{entity}"]
+    chunks = [chunk for chunk in RrdReader(path).stream() if chunk.entity_path == f"/{entity}"]
     parts = [pa.table(chunk.to_record_batch()).replace_schema_metadata(None) for chunk in chunks]
     return pa.concat_tables([part.drop_columns("rerun.controls.RowId") for part in parts], promote_options="default")
 
