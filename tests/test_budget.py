@@ -5,7 +5,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 LIMITS = {
-    "lines of sim and deepgps": 41_111,
+    "lines of sim and deepgps": 41_115,
     "files of sim and deepgps": 299,
     "lines of tests": 28_878,
     "Python files directly in deepgps": 2,

@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from itertools import islice
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from rich.console import Console
@@ -34,7 +33,6 @@ COLUMNS: tuple[Column, ...] = (
     ("train [s]", "train_s", lambda value: f"{value:.1f}"),
 )
 """Columns of the table, which fits into 80 columns of a terminal."""
-NO_TIMES = MappingProxyType[str, float]({})
 MIN_LEAN_DEG, MIN_WOBBLE_DEG = 0.1, 0.3  # Smallest lean, and increase of the wobble, that are reported [deg]
 COLUMNS_NOTE = "RMS / side: over the room's shorter side; yaw: RMS error of the heading."
 OVERVIEW = tuple(column for column in COLUMNS if column[1] in {"rms_m", "median_m", "max_m", "relative_rms"})
@@ -68,7 +66,7 @@ def tabulate(metrics: Mapping[str, Any], columns: Sequence[Column] = COLUMNS) ->
     return ("method", *head(columns)), [*rows, *([("Dead reckoning, path", *fill(columns, path))] if path else [])]
 
 
-def describe(metrics: Mapping[str, Any], times: Mapping[str, float] = NO_TIMES) -> list[str]:
+def describe(metrics: Mapping[str, Any], times: Mapping[str, float] | None = None) -> list[str]:
     """Describe the drive, the encoders, the coverage, what is accepted, the camera, the deployment drive and the time.
 
     Seconds of each stage in all sittings are those in the metrics, without ``show``, unless they are given.

@@ -38,7 +38,7 @@ def find_run_files() -> re.Pattern[str]:
 def _make_pattern(known: tuple[str, ...]) -> re.Pattern[str]:
     methods = "|".join(known)
     return re.compile(
-        rf"scenario\.yaml|inputs\.json|timing\.json|log\.txt|metrics\.json|without_truth\.json|diagnosis\.json|((error|label|use)_field|pictures)\.npz|failure\.txt"
+        rf"scenario\.yaml|inputs\.json|timing\.json|log\.txt|metrics\.json|without_truth\.json|diagnosis\.json|(error|label|use)_field\.npz|failure\.txt"
         rf"|({methods})/(attempt\d+/)?({TRAINED_FILES})|({methods})/alignment\.json|features/({FEATURE_FILES})"
         rf"|(run|recording|pairs/[0-9a-f]{{12}})\.rrd(\.sha256)?|figures/(error_fields|error_cdf|drive)\.png"
         rf"|tracking/({methods})(-[0-9a-f]{{8}})?\.(npz|json|png)"

@@ -42,9 +42,11 @@ class Variation(Group):
     @model_validator(mode="after")
     def _each_name_varies_once(self) -> "Variation":
         varied = {name for case in self.cases for name in case}
-        for name in ("seed", "name", "methods"):
-            if name in {*self.set, *self.axes} | (varied - {"methods"}):
-                raise ValueError(f"{name} can be no name in set, cases or axes; a study has seeds, a name and methods")
+        elsewhere = {*self.set, *self.axes}
+        if wrong := [name for name in ("seed", "name") if name in elsewhere | varied]:
+            raise ValueError(f"{wrong[0]} can be no name in set, cases or axes; a study has seeds and a name")
+        if "methods" in elsewhere:
+            raise ValueError("methods can be no name in set or axes; a study and its cases have methods")
         if both := [name for name in self.axes if name in varied]:
             raise ValueError(f"{shorten(both[0])} is both in cases and in axes")
         if empty := [name for name, values in self.axes.items() if not values]:

@@ -21,7 +21,15 @@ from deepgps.evaluation.error_field import ErrorField, read_all_headings
 from deepgps.evaluation.map_errors import find_true_camera
 from deepgps.evaluation.without_truth import read_judged
 from deepgps.reports.run_figures import draw_error_cdf, read_histories
-from deepgps.reports.run_report import OVERVIEW, describe, judge_run, markdown_report, markdown_table, read_metrics
+from deepgps.reports.run_report import (
+    COLUMNS_NOTE,
+    OVERVIEW,
+    describe,
+    judge_run,
+    markdown_report,
+    markdown_table,
+    read_metrics,
+)
 from deepgps.reports.without_truth import markdown
 from deepgps.runs.run_folder import METRICS, TRUTHLESS_METRICS, VIEWED
 from deepgps.viewer import layout
@@ -38,10 +46,6 @@ from sim.geometry import FreeSpace, limits
 from sim.recording.format import has_truth, is_whole, open_recording, open_truth
 
 PLAYED_S = 100.0  # In which the viewer plays a drive
-COLUMNS_NOTE = (
-    "RMS / side: the RMS error as a share of the room's shorter side. yaw: the RMS error of the heading that a method "
-    "finds."
-)
 READING_HINT = (
     "Point at an arrow or a dot: error (± radius of 68 %), heading → predicted x, y [m], and its place on the timeline "
     "`place`, where its image is, if it is shown in *Places*."
@@ -157,7 +161,7 @@ def log_results(
         *(f"- {sentence}" for sentence in notes),
     ]
     put_text(stream, layout.FIGURES, "\n".join(lines))
-    put_text(stream, layout.REPORT, f"{markdown_report(metrics)}\n{COLUMNS_NOTE}")
+    put_text(stream, layout.REPORT, markdown_report(metrics))
 
 
 def hash_run(run: Path) -> str:
